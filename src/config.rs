@@ -1,0 +1,381 @@
+//! `pipeline.toml`: one table a stage, every key with its unit in its name and a default that works.
+
+use crate::error::{Error, FileContext, Result};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+macro_rules! settings {
+    ($(#[$doc:meta])* $name:ident { $($(#[$field_doc:meta])* $field:ident : $type:ty = $default:expr,)* }) => {
+        $(#[$doc])*
+        #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+        #[serde(deny_unknown_fields, default)]
+        pub struct $name { $($(#[$field_doc])* pub $field: $type,)* }
+        impl Default for $name {
+            fn default() -> Self {
+                Self { $($field: $default,)* }
+            }
+        }
+    };
+}
+
+settings! {
+    /// The whole file.
+    Pipeline {
+        /// Folder that receives one folder a stage, relative to this file.
+        work: PathBuf = "work".into(),
+        /// What a person marked in the photographs, relative to this file.
+        annotations: PathBuf = "annotations.toml".into(),
+        /// `[ingest]`
+        ingest: Ingest = Ingest::default(),
+        /// `[response]`
+        response: Response = Response::default(),
+        /// `[merge]`
+        merge: Merge = Merge::default(),
+        /// `[calibrate]`
+        calibrate: Calibrate = Calibrate::default(),
+        /// `[probe]`
+        probe: Probe = Probe::default(),
+        /// `[model]`
+        model: Model = Model::default(),
+        /// `[illuminate]`
+        illuminate: Illuminate = Illuminate::default(),
+        /// `[irradiance]`
+        irradiance: Irradiance = Irradiance::default(),
+        /// `[transfer]`
+        transfer: Transfer = Transfer::default(),
+        /// `[render]`
+        render: Render = Render::default(),
+        /// `[composite]`
+        composite: Composite = Composite::default(),
+        /// `[evaluate]`
+        evaluate: Evaluate = Evaluate::default(),
+    }
+}
+
+/// What a photograph is for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Role {
+    /// The photograph to augment. The first one is used.
+    Plate,
+    /// Exposures of the plate's view, from the same place.
+    Brackets,
+    /// The printed grid, photographed from exactly where the plate was.
+    PlateWithGrid,
+    /// Exposures of the mirror ball (and the grid), close up.
+    Probe,
+    /// The printed grid from many sides, for inner orientation.
+    Grid,
+    /// Frames of a film.
+    Frames,
+}
+
+settings! {
+    /// Which photographs there are and how they were exposed.
+    Ingest {
+        /// Folder of the photographs, relative to this file.
+        photos: PathBuf = "photos".into(),
+        /// For each role the file names; `*` stands for any characters.
+        roles: BTreeMap<Role, Vec<String>> = BTreeMap::new(),
+        /// Exposure of files without EXIF, or to be used instead of it.
+        exposure: Vec<ExposureOverride> = Vec::new(),
+        /// Width of the sensor, mm; with the EXIF focal length it gives a first focal length in pixels.
+        sensor_width_mm: Option<f64> = None,
+        /// Focal length, mm, where EXIF has none.
+        focal_mm: Option<f64> = None,
+    }
+}
+
+/// Exposure of some files. `time_s` alone means that aperture and ISO did not change.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ExposureOverride {
+    /// File name; `*` stands for any characters.
+    pub file: String,
+    /// Exposure time, s.
+    #[serde(default)]
+    pub time_s: Option<f64>,
+    /// f-number.
+    #[serde(default)]
+    pub f_number: Option<f64>,
+    /// ISO speed.
+    #[serde(default)]
+    pub iso: Option<f64>,
+}
+
+settings! {
+    /// Camera response curve (Debevec and Malik 1997).
+    Response {
+        /// Which exposures to fit on.
+        role: Role = Role::Brackets,
+        /// Sample positions.
+        samples: usize = 400,
+        /// Weight λ of the second differences against one sample.
+        smoothness: f64 = 20.0,
+    }
+}
+
+settings! {
+    /// Exposures to linear radiance.
+    Merge {
+        /// Full-well capacity, electrons; sets the photon noise.
+        full_well_electrons: f64 = 12_000.0,
+        /// Read noise, electrons.
+        read_noise_electrons: f64 = 5.0,
+        /// Code values at or above this share of the largest are taken as clipped.
+        clip: f32 = 0.985,
+    }
+}
+
+settings! {
+    /// The printed grid and how cameras are found.
+    Calibrate {
+        /// Inner corners along the long and the short side.
+        inner_corners: [u32; 2] = [7, 5],
+        /// Side of a square, m.
+        square_m: f64 = 0.06,
+        /// Height of the printed face above the surface it lies on, m.
+        thickness_m: f64 = 0.002,
+        /// Which corner of the grid carries the black disc that tells it from itself turned by 180°; `none` if there
+        /// is no disc.
+        disc: Disc = Disc::NegXNegY,
+        /// Where the pose of the plate comes from.
+        pose: PoseSource = PoseSource::Both,
+        /// Accuracy of marked vanishing lines, px.
+        mark_sigma_px: f64 = 0.5,
+        /// Refuse a calibration whose grid corners reproject worse than this, px.
+        max_rms_px: f64 = 1.0,
+    }
+}
+
+/// Corner of the grid that carries the disc, in the grid's own frame (x along the long side).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Disc {
+    /// At −x, −y.
+    NegXNegY,
+    /// At +x, +y.
+    PosXPosY,
+    /// There is none.
+    None,
+}
+
+/// Where the plate's pose comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PoseSource {
+    /// The grid, refined by marked vanishing lines where there are any.
+    Both,
+    /// The grid alone.
+    Grid,
+    /// Marked vanishing lines, origin and scale alone (tutorial §3).
+    VanishingLines,
+}
+
+settings! {
+    /// The mirror ball.
+    Probe {
+        /// Radius of the ball, m.
+        radius_m: f64 = 0.1,
+        /// Share of light that the ball reflects, per channel.
+        reflectivity: [f64; 3] = [0.9; 3],
+        /// Height of the surface that the ball stands on, in the world, m; without it the surface under the grid.
+        support_m: Option<f64> = None,
+        /// Width of the environment map, px; its height is half of that.
+        width_px: usize = 512,
+    }
+}
+
+settings! {
+    /// Fitting primitives to marks.
+    Model {
+        /// Accuracy of marks, px.
+        mark_sigma_px: f64 = 1.0,
+        /// Refuse a fit whose marks are further off than this, rms in px.
+        max_rms_px: f64 = 5.0,
+    }
+}
+
+settings! {
+    /// Light on the model's surfaces.
+    Illuminate {
+        /// Longest edge of a patch, m.
+        max_edge_m: f64 = 0.25,
+        /// Shortest edge that refinement may make, m.
+        min_edge_m: f64 = 0.05,
+        /// A patch is split while it sends more than this share of all power.
+        max_power_share: f64 = 0.002,
+        /// Reflectance of surfaces seen in neither probe nor plate.
+        unseen_reflectance: f32 = 0.5,
+        /// Number of cells into which light from beyond the model is cut.
+        distant_sources: usize = 128,
+    }
+}
+
+settings! {
+    /// Spherical-harmonic irradiance volume.
+    Irradiance {
+        /// Distance of grid points, m.
+        spacing_m: f64 = 0.25,
+        /// Half the side of the region around the object that is covered, m; cut to the room.
+        reach_m: f64 = 1.0,
+        /// Rays per grid point.
+        rays: usize = 4096,
+    }
+}
+
+settings! {
+    /// Radiance transfers (gibson §5).
+    Transfer {
+        /// Share of all patches' power that the source set holds.
+        source_share: f64 = 0.7,
+        /// Visibility rays for each pair of source and receiver vertex.
+        rays: usize = 8,
+    }
+}
+
+/// How shadows are found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ShadowMethod {
+    /// Stratified rays from every pixel: the reference.
+    Raytraced,
+    /// One shadow map per source (gibson §7).
+    RadianceTransfer,
+}
+
+/// Where shadow maps are made and subtracted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Backend {
+    /// rayon.
+    Cpu,
+    /// wgpu.
+    Gpu,
+}
+
+settings! {
+    /// The synthetic object and its shadow.
+    Render {
+        /// The object, glTF, OBJ or PLY, in metres, relative to this file.
+        object: PathBuf = "object.obj".into(),
+        /// Where the object's origin stands, in the grid's frame, m (x along its long side, z out of it).
+        position_m: [f64; 3] = [0.0; 3],
+        /// Turn about the grid's z axis.
+        rotation_deg: f64 = 0.0,
+        /// Size of the object against its file.
+        scale: f64 = 1.0,
+        /// +Y of the object's file is up (glTF's habit); otherwise +Z is.
+        y_up: bool = false,
+        /// Diffuse reflectance, for files without materials.
+        diffuse: [f32; 3] = [0.5; 3],
+        /// Phong specular reflectance, for files without materials.
+        specular: [f32; 3] = [0.0; 3],
+        /// Phong exponent.
+        shininess: f32 = 50.0,
+        /// Smooth normals across edges below this angle, where the file has none.
+        smooth_deg: f64 = 60.0,
+        /// Rays per pixel along each side, for edges.
+        antialiasing: usize = 4,
+        /// How shadows are found.
+        method: ShadowMethod = ShadowMethod::RadianceTransfer,
+        /// Where shadow maps are made.
+        backend: Backend = Backend::Cpu,
+        /// Side of a shadow map, texels.
+        shadow_map_px: usize = 256,
+        /// Only so many of the strongest sources; 0 for all of the source set.
+        max_sources: usize = 0,
+        /// Shadow rays per pixel of the method `raytraced`.
+        rays: usize = 1024,
+        /// Seed of all random choices.
+        seed: u64 = 1,
+    }
+}
+
+settings! {
+    /// The augmented photograph.
+    Composite {
+        /// Also write `augmented_tonemapped.png`, by this operator; the plate's own response is the default picture.
+        exposure_ev: f32 = 0.0,
+    }
+}
+
+settings! {
+    /// Judging against a reference.
+    Evaluate {
+        /// True linear image with the object (EXR), relative to this file.
+        reference: Option<PathBuf> = None,
+        /// True linear image without it (EXR).
+        reference_empty: Option<PathBuf> = None,
+        /// Coverage of the object in the reference (PNG).
+        reference_mask: Option<PathBuf> = None,
+        /// True cameras, response and radiance of the capture (`truth.json`), to judge each stage.
+        truth: Option<PathBuf> = None,
+        /// Bounds that `insitu validate` holds the errors to.
+        bounds: BTreeMap<String, f64> = BTreeMap::new(),
+    }
+}
+
+impl Pipeline {
+    /// Reads a settings file; mistakes are shown with line and column, unknown keys with the nearest known one.
+    pub fn read(path: &Path) -> Result<Self> {
+        let text = std::fs::read_to_string(path).at("reading the settings", path)?;
+        parse(&text, path)
+    }
+
+    /// The table of a stage, as it enters the stage's digest.
+    pub fn table(&self, stage: &str) -> serde_json::Value {
+        serde_json::to_value(self).map(|v| v[stage].clone()).unwrap_or_default()
+    }
+}
+
+/// Reads TOML into any settings type, with located errors.
+pub fn parse<T: serde::de::DeserializeOwned>(text: &str, path: &Path) -> Result<T> {
+    toml::from_str(text).map_err(|e| {
+        let (line, column) = e.span().map_or((0, 0), |span| {
+            let before = &text[..span.start.min(text.len())];
+            let column = before.len() - before.rfind('\n').map_or(0, |i| i + 1) + 1;
+            (before.matches('\n').count() + 1, column)
+        });
+        let problem = e.message().lines().collect::<Vec<_>>().join(" ");
+        let hint = nearest_key(&problem).map_or("see the commented pipeline.toml of insitu".into(), |key| {
+            format!("did you mean `{key}`?")
+        });
+        Error::Settings { file: path.to_path_buf(), line, column, problem, hint }
+    })
+}
+
+/// From serde's "unknown field `a`, expected one of `b`, `c`": the expected name nearest to the one found.
+fn nearest_key(message: &str) -> Option<String> {
+    if !message.starts_with("unknown") {
+        return None;
+    }
+    let names: Vec<&str> = message.split('`').skip(1).step_by(2).collect();
+    let (found, expected) = names.split_first()?;
+    expected
+        .iter()
+        .max_by(|a, b| strsim::jaro_winkler(found, a).total_cmp(&strsim::jaro_winkler(found, b)))
+        .map(|s| s.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn unknown_keys_are_located_and_the_nearest_is_named() {
+        let text = "work = \"w\"\n\n[transfer]\nrays = 4\n  sorce_share = 0.5\n";
+        let e = parse::<Pipeline>(text, Path::new("pipeline.toml")).unwrap_err();
+        assert!(e.to_string().starts_with("pipeline.toml:5:3: unknown field `sorce_share`"), "{e}");
+        assert_eq!(e.hint(), "did you mean `source_share`?");
+        assert_eq!(e.exit_code(), 2);
+    }
+
+    #[test]
+    fn unknown_roles_are_named() {
+        let text = "[ingest.roles]\nplaet = [\"a.jpg\"]\n";
+        let e = parse::<Pipeline>(text, Path::new("p.toml")).unwrap_err();
+        assert_eq!(e.hint(), "did you mean `plate`?", "{e}");
+    }
+}

@@ -1,0 +1,3 @@
+//! Light on the model.
+
+pub mod patch;

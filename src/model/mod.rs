@@ -1,0 +1,3 @@
+//! The scene model.
+
+pub mod face;

@@ -1,0 +1,55 @@
+//! Equirectangular environments by the OpenEXR `latlong` convention: +Y at the top row, the image centre looks
+//! along +Z, longitude grows to the left.
+
+use glam::Vec3;
+use std::f32::consts::{PI, TAU};
+
+/// Unit direction in the world seen at continuous pixel `(x, y)` of a `width × height` map.
+pub fn direction(x: f32, y: f32, width: usize, height: usize) -> Vec3 {
+    let longitude = PI - TAU * x / width as f32;
+    let latitude = PI / 2.0 - PI * y / height as f32;
+    let (sin_lon, cos_lon) = longitude.sin_cos();
+    let (sin_lat, cos_lat) = latitude.sin_cos();
+    Vec3::new(sin_lon * cos_lat, sin_lat, cos_lon * cos_lat)
+}
+
+/// Continuous pixel of a unit direction; inverse of [`direction`].
+pub fn pixel(direction: Vec3, width: usize, height: usize) -> (f32, f32) {
+    let longitude = direction.x.atan2(direction.z);
+    let latitude = direction.y.clamp(-1.0, 1.0).asin();
+    ((PI - longitude) / TAU * width as f32, (PI / 2.0 - latitude) / PI * height as f32)
+}
+
+/// Solid angle of each texel in row `y`, sr; exact, so that a whole map sums to 4π.
+pub fn texel_solid_angle(y: usize, width: usize, height: usize) -> f64 {
+    let edge =
+        |row: usize| (std::f64::consts::FRAC_PI_2 - std::f64::consts::PI * row as f64 / height as f64).sin();
+    (edge(y) - edge(y + 1)) * std::f64::consts::TAU / width as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn centre_looks_along_z_and_top_is_up() {
+        assert!((direction(64.0, 32.0, 128, 64) - Vec3::Z).length() < 1e-6);
+        assert!((direction(10.0, 0.0, 128, 64) - Vec3::Y).length() < 1e-6);
+        assert!((direction(32.0, 32.0, 128, 64) - Vec3::X).length() < 1e-6, "longitude grows to the left");
+    }
+
+    #[test]
+    fn texels_cover_the_sphere() {
+        let sum: f64 = (0..37).map(|y| 53.0 * texel_solid_angle(y, 53, 37)).sum();
+        assert!((sum - 4.0 * std::f64::consts::PI).abs() < 1e-12);
+    }
+
+    proptest! {
+        #[test]
+        fn pixel_inverts_direction(x in 0.01..255.9f32, y in 0.5..127.5f32) {
+            let (px, py) = pixel(direction(x, y, 256, 128), 256, 128);
+            prop_assert!((px - x).abs() < 0.01 && (py - y).abs() < 0.01);
+        }
+    }
+}

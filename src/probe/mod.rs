@@ -1,0 +1,4 @@
+//! The light probe.
+
+pub mod latlong;
+pub mod mirror_ball;

@@ -1,0 +1,3 @@
+//! Stage `calibrate`.
+
+fn main() {}

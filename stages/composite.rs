@@ -1,0 +1,3 @@
+//! Stage `composite`.
+
+fn main() {}

@@ -1,0 +1,3 @@
+//! Stage `evaluate`.
+
+fn main() {}

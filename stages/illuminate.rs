@@ -1,0 +1,3 @@
+//! Stage `illuminate`.
+
+fn main() {}

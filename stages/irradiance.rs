@@ -1,0 +1,3 @@
+//! Stage `irradiance`.
+
+fn main() {}

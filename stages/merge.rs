@@ -1,0 +1,3 @@
+//! Stage `merge`.
+
+fn main() {}

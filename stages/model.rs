@@ -1,0 +1,3 @@
+//! Stage `model`.
+
+fn main() {}

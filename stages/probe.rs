@@ -1,0 +1,3 @@
+//! Stage `probe`.
+
+fn main() {}

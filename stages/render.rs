@@ -1,0 +1,3 @@
+//! Stage `render`.
+
+fn main() {}

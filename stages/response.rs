@@ -1,0 +1,3 @@
+//! Stage `response`.
+
+fn main() {}

@@ -1,0 +1,3 @@
+//! Stage `transfer`.
+
+fn main() {}
