@@ -22,6 +22,8 @@ macro_rules! settings {
 settings! {
     /// The whole file.
     Pipeline {
+        /// Another settings file, relative to this one, whose values hold where this one is silent.
+        extends: Option<PathBuf> = None,
         /// Folder that receives one folder a stage, relative to this file.
         work: PathBuf = "work".into(),
         /// What a person marked in the photographs, relative to this file.
@@ -321,12 +323,41 @@ impl Pipeline {
     /// Reads a settings file; mistakes are shown with line and column, unknown keys with the nearest known one.
     pub fn read(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path).at("reading the settings", path)?;
-        parse(&text, path)
+        let own: Self = parse(&text, path)?;
+        let Some(base) = &own.extends else { return Ok(own) };
+        let base_path = path.parent().unwrap_or(Path::new("")).join(base);
+        let base_text = std::fs::read_to_string(&base_path).at("reading the settings", &base_path)?;
+        if parse::<Self>(&base_text, &base_path)?.extends.is_some() {
+            return Err(Error::Settings {
+                file: base_path,
+                line: 0,
+                column: 0,
+                problem: "is extended by another file and extends one itself".into(),
+                hint: "keep to one level of `extends`".into(),
+            });
+        }
+        let mut merged: toml::Table = parse(&base_text, &base_path)?;
+        overlay(&mut merged, parse(&text, path)?);
+        merged
+            .try_into()
+            .map_err(|e| Error::Bug(format!("merging {} and {}: {e}", path.display(), base.display())))
     }
 
     /// The table of a stage, as it enters the stage's digest.
     pub fn table(&self, stage: &str) -> serde_json::Value {
         serde_json::to_value(self).map(|v| v[stage].clone()).unwrap_or_default()
+    }
+}
+
+/// Puts the values of `upper` over those of `lower`, table by table.
+fn overlay(lower: &mut toml::Table, upper: toml::Table) {
+    for (key, value) in upper {
+        match (lower.get_mut(&key), value) {
+            (Some(toml::Value::Table(below)), toml::Value::Table(above)) => overlay(below, above),
+            (_, value) => {
+                lower.insert(key, value);
+            }
+        }
     }
 }
 
@@ -370,6 +401,15 @@ mod tests {
         assert!(e.to_string().starts_with("pipeline.toml:5:3: unknown field `sorce_share`"), "{e}");
         assert_eq!(e.hint(), "did you mean `source_share`?");
         assert_eq!(e.exit_code(), 2);
+    }
+
+    #[test]
+    fn an_extending_file_changes_only_what_it_names() {
+        let dir = tempfile::tempdir().unwrap();
+        std::fs::write(dir.path().join("a.toml"), "[render]\nscale = 2.0\nrotation_deg = 5.0\n").unwrap();
+        std::fs::write(dir.path().join("b.toml"), "extends = \"a.toml\"\n[render]\nscale = 3.0\n").unwrap();
+        let pipeline = Pipeline::read(&dir.path().join("b.toml")).unwrap();
+        assert_eq!((pipeline.render.scale, pipeline.render.rotation_deg), (3.0, 5.0));
     }
 
     #[test]

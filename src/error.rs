@@ -60,6 +60,14 @@ pub enum Error {
         /// What to do.
         hint: String,
     },
+    /// A stage's own program failed and has said why.
+    #[error("stage `{stage}` {}", match code { Some(_) => "failed", None => "was killed" })]
+    Stage {
+        /// Its name.
+        stage: &'static str,
+        /// Its exit status, unless it was killed.
+        code: Option<i32>,
+    },
     /// A promise inside insitu was broken.
     #[error("{0}; this is a fault of insitu, not of your data")]
     Bug(String),
@@ -93,6 +101,10 @@ impl Error {
         match self {
             Self::Settings { hint, .. } | Self::File { hint, .. } | Self::Usage { hint, .. } => hint.clone(),
             Self::Data { problem, .. } => problem.hint(),
+            Self::Stage { code: Some(_), .. } => {
+                "see the message above; results of earlier runs are kept".into()
+            }
+            Self::Stage { code: None, .. } => "run again: results of earlier runs are kept".into(),
             Self::Bug(_) => "report it with the command line and `stage.json`".into(),
         }
     }
@@ -102,6 +114,7 @@ impl Error {
         match self {
             Self::File { .. } | Self::Data { .. } => 1,
             Self::Settings { .. } | Self::Usage { .. } => 2,
+            Self::Stage { code, .. } => code.and_then(|c| u8::try_from(c).ok()).unwrap_or(1),
             Self::Bug(_) => 3,
         }
     }

@@ -1,1 +1,5 @@
-fn main() {}
+//! The driver: `insitu run`, `status`, `validate`, `new`, `bench`.
+
+fn main() -> std::process::ExitCode {
+    insitu::driver::main()
+}

@@ -1,1 +1,101 @@
-//! To be written.
+//! The program `insitu`: runs stages in order, says what is fresh, validates captures in batch, starts new ones.
+
+mod new;
+mod run;
+mod status;
+mod validate;
+
+use crate::cli;
+use crate::error::Result;
+use clap::{Parser, Subcommand};
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+pub use new::{CaptureSheet, describe, roles_of_sheet, set, vanishing_lines};
+
+/// From a photo set to a photograph with a synthetic object standing in it.
+#[derive(Debug, Parser)]
+#[command(name = "insitu", version)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+    /// Say nothing but errors and results.
+    #[arg(long, short, global = true)]
+    quiet: bool,
+    /// Say each stage's figures.
+    #[arg(long, short, global = true)]
+    verbose: bool,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Run all stages whose inputs or settings have changed.
+    Run {
+        /// Settings file.
+        #[arg(default_value = "pipeline.toml")]
+        pipeline: PathBuf,
+        /// First stage to look at; those before it are taken as they are.
+        #[arg(long, value_name = "STAGE")]
+        from: Option<String>,
+        /// Last stage to run.
+        #[arg(long, value_name = "STAGE")]
+        to: Option<String>,
+        /// Run even what is fresh.
+        #[arg(long)]
+        force: bool,
+    },
+    /// Say what is fresh, stale or missing, and why.
+    Status {
+        /// Settings file.
+        #[arg(default_value = "pipeline.toml")]
+        pipeline: PathBuf,
+    },
+    /// Run every capture found and hold its errors to the bounds it states.
+    Validate {
+        /// Folders to search for `pipeline.toml` and the settings files that extend it.
+        #[arg(required = true)]
+        folders: Vec<PathBuf>,
+        /// Captures run at the same time.
+        #[arg(long, default_value_t = 2)]
+        jobs: usize,
+        /// Run even what is fresh.
+        #[arg(long)]
+        force: bool,
+    },
+    /// Write a commented `pipeline.toml` for a folder of photographs, filled from their EXIF.
+    New {
+        /// Folder of the photographs; the settings are written into it.
+        folder: PathBuf,
+    },
+    /// Time each stage, and a frame with the object moved and all else reused.
+    Bench {
+        /// Settings file.
+        #[arg(default_value = "pipeline.toml")]
+        pipeline: PathBuf,
+        /// Frames to time for each back end.
+        #[arg(long, default_value_t = 10)]
+        frames: usize,
+    },
+}
+
+/// The `main` of the program.
+pub fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    let printer = cli::printer(arguments.quiet, arguments.verbose);
+    let outcome: Result<()> = match arguments.command {
+        Command::Run { pipeline, from, to, force } => {
+            run::run(&pipeline, &run::Range { from, to, force }, &printer)
+        }
+        Command::Status { pipeline } => status::status(&pipeline, &printer),
+        Command::Validate { folders, jobs, force } => {
+            match validate::validate(&folders, jobs, force, &printer) {
+                Ok(true) => Ok(()),
+                Ok(false) => return ExitCode::FAILURE,
+                Err(e) => Err(e),
+            }
+        }
+        Command::New { folder } => new::new(&folder, &printer),
+        Command::Bench { pipeline, frames } => crate::bench::bench(&pipeline, frames, &printer),
+    };
+    cli::exit(&printer, outcome)
+}
