@@ -1,6 +1,45 @@
-//! insitu: from a photo set to a photograph with a synthetic object standing in it.
+//! insitu turns a photo set into an augmented photograph: photographs of a room, exposure brackets, a mirror ball and a
+//! printed grid go in; a photograph with a synthetic object standing in it comes out, lit by the room's own light and
+//! shadowing the room's own surfaces.
+//!
+//! ```text
+//! photos ─► ingest ─► response ─► merge ─┬─► probe ──► model ──┐
+//!              │                         │                     ▼
+//!              └────► calibrate ─────────┴──────────────► illuminate ─► irradiance ─┐
+//!                                                              │                    ▼
+//!                                                              └────► transfer ─► render ─► composite ─► evaluate
+//! ```
+//!
+//! One module a stage, in the order of the data: [`exposure`] (ingest), [`response`], [`merge`], [`calibrate`], [`probe`],
+//! [`model`], [`illuminate`], [`irradiance`], [`transfer`], [`render`] with [`shadow`], [`composite`], [`evaluate`]. What
+//! several of them need: [`image`], [`camera`], [`visibility`], [`sh`], [`least_squares`], [`vision`] (OpenCV), [`gpu`].
+//! What joins them: [`config`] (`pipeline.toml`), [`annotations`], [`artefact`] (files between stages), [`stage`] (the table
+//! of stages and how one runs), [`driver`] (the program `insitu`). Only [`printer`] prints.
+//!
+//! # Conventions
+//!
+//! - World: right-handed, metres, **+Y up**; its origin is the centre of the printed grid. Grid frame: x along the long
+//!   side, z out of the paper; `world = (x, z, −y)`.
+//! - Camera: +X right, +Y down, +Z forward. Transforms are named `a_from_b`.
+//! - Pixels: continuous; (0, 0) is the outer corner of the top-left pixel, its centre lies at (0.5, 0.5).
+//! - Radiance: linear, scene-referred, Rec. 709, in *plate units*: 1 saturates the plate.
+//! - Exposure: t · S / N² with t in s, S = ISO/100, N the f-number.
+//! - Environments: OpenEXR `latlong`, see [`probe::latlong`]. Spherical harmonics: see [`sh`].
+//! - Angles are radians; settings a person writes end in `_deg`.
+//!
+//! # Bibliography
+//!
+//! - **gibson**: Gibson, Cook, Howard, Hubbold: Rapid Shadow Generation in Real-World Lighting Environments, EGSR 2003.
+//! - **tutorial**: Gibson, Chalmers: Photorealistic Augmented Reality, Eurographics 2003 tutorial.
+//! - Debevec, Malik: Recovering High Dynamic Range Radiance Maps from Photographs, SIGGRAPH 1997.
+//! - Debevec: Rendering Synthetic Objects into Real Scenes, SIGGRAPH 1998.
+//! - Debevec: A Median Cut Algorithm for Light Probe Sampling, SIGGRAPH 2005 poster.
+//! - Ramamoorthi, Hanrahan: An Efficient Representation for Irradiance Environment Maps, SIGGRAPH 2001.
+//! - Greger, Shirley, Hubbard, Greenberg: The Irradiance Volume, IEEE CG&A 1998.
+
 pub mod annotations;
 pub mod artefact;
+pub mod bench;
 pub mod calibrate;
 pub mod camera;
 pub mod cli;
