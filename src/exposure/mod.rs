@@ -145,6 +145,15 @@ impl Photograph {
     }
 }
 
+/// One exposure of a view.
+#[derive(Debug, Clone, Copy)]
+pub struct Frame<'a> {
+    /// What the camera stored.
+    pub codes: &'a CodeImage,
+    /// [`Exposure::scale`].
+    pub exposure: f64,
+}
+
 /// Decodes a photograph of the capture for a stage: its content enters the stage's digest, its size must be what
 /// `ingest` saw.
 pub fn load(ctx: &Context, capture: &Capture, photo: &Photo) -> Result<Photograph> {
