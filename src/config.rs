@@ -278,6 +278,10 @@ settings! {
         shininess: f32 = 50.0,
         /// Smooth normals across edges below this angle, where the file has none.
         smooth_deg: f64 = 60.0,
+        /// Rays per pixel of the object by which it shadows and lights itself.
+        shading_rays: usize = 128,
+        /// Width of the environment map at the object, px; its height is half of that.
+        environment_px: usize = 128,
         /// Rays per pixel along each side, for edges.
         antialiasing: usize = 4,
         /// How shadows are found.

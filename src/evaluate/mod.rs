@@ -1,1 +1,16 @@
-//! To be written.
+//! Judging the result: errors on linear radiance and on display images, each stage against truth, the report.
+
+pub mod compare;
+pub mod display;
+pub mod errors;
+pub mod figures;
+mod html;
+mod pictures;
+pub mod region;
+pub mod truth;
+
+pub use compare::{Comparison, Ours, Reference, compare};
+pub use figures::{DEFINITIONS, Figure, Measured, Report, check_bounds};
+pub use html::{Page, page};
+pub use pictures::{ErrorMap, error_map, range, removal_map};
+pub use truth::Truth;
