@@ -4,7 +4,7 @@ use insitu::artefact::{exr, json};
 use insitu::config::Role;
 use insitu::error::{Context as _, Result};
 use insitu::exposure::{self, Capture, Frame, Photo, Photograph};
-use insitu::image::{Image, RadianceImage};
+use insitu::image::RadianceImage;
 use insitu::merge::{self, Merged};
 use insitu::response::Response;
 use insitu::stage::Context;
@@ -21,15 +21,22 @@ fn main() -> std::process::ExitCode {
         let brackets: Vec<&Photo> = capture.with_role(Role::Brackets).collect();
         let merged = match linear_plate(ctx, &capture, plate, &brackets)? {
             Some(linear) => untouched(ctx, linear),
-            None => from_frames(ctx, &capture, if brackets.is_empty() { vec![plate] } else { brackets }, &response)?,
+            None => from_frames(
+                ctx,
+                &capture,
+                if brackets.is_empty() { vec![plate] } else { brackets },
+                &response,
+            )?,
         };
         ctx.figure("clipped_share", merged.clipped_share());
         ctx.figure("median_relative_standard_error", merged.median_relative_error());
         if merged.clipped_share() > 0.001 {
             let percent = 100.0 * merged.clipped_share();
-            ctx.warn(format!("{percent:.1} % of the plate is clipped in every exposure: light there is too low"));
+            ctx.warn(format!(
+                "{percent:.1} % of the plate is clipped in every exposure: light there is too low"
+            ));
         }
-        write(ctx, &merged)
+        exr::write(&ctx.output("plate.exr"), &merged.planes(), exr::Kind::Picture)
     })
 }
 
@@ -57,8 +64,7 @@ fn untouched(ctx: &Context, image: RadianceImage) -> Merged {
     if negative > 0 {
         ctx.warn(format!("{negative} pixels of the plate are below 0: they are taken as 0"));
     }
-    let radiance = image.map(|p| insitu::image::Radiance(p.0.map(|v| v.max(0.0))));
-    Merged { variance: radiance.map(|_| [0.0; 3]), clipped: radiance.map(|_| false), radiance }
+    Merged::from_linear(&image)
 }
 
 fn from_frames(ctx: &Context, capture: &Capture, photos: Vec<&Photo>, response: &Response) -> Result<Merged> {
@@ -71,7 +77,8 @@ fn from_frames(ctx: &Context, capture: &Capture, photos: Vec<&Photo>, response: 
         bar.inc(1);
     }
     bar.finish_and_clear();
-    let frames: Vec<_> = images.iter().map(|(codes, exposure)| Frame { codes, exposure: *exposure }).collect();
+    let frames: Vec<_> =
+        images.iter().map(|(codes, exposure)| Frame { codes, exposure: *exposure }).collect();
     let merged = merge::merge(&frames, response, unit, &ctx.pipeline.merge).doing("merging the exposures")?;
     let stops = merge::disagreement_stops(&frames, &merged, response, unit);
     for (photo, stops) in photos.iter().zip(&stops).filter(|(_, s)| **s > SUSPICIOUS_STOPS) {
@@ -82,14 +89,4 @@ fn from_frames(ctx: &Context, capture: &Capture, photos: Vec<&Photo>, response: 
     }
     ctx.figure("frame_residual_stops", stops);
     Ok(merged)
-}
-
-fn write(ctx: &Context, merged: &Merged) -> Result<()> {
-    let plane = |image: &Image<[f32; 3]>, k: usize| image.pixels().iter().map(|p| p[k]).collect::<Vec<_>>();
-    let clipped = merged.clipped.pixels().iter().map(|c| if *c { 1.0 } else { 0.0 }).collect();
-    let mut planes = exr::Planes::from_radiance(&merged.radiance).with("clipped", clipped);
-    for (k, name) in ["VR", "VG", "VB"].iter().enumerate() {
-        planes = planes.with(name, plane(&merged.variance, k));
-    }
-    exr::write(&ctx.output("plate.exr"), &planes, exr::Kind::Picture)
 }
