@@ -7,6 +7,8 @@ pub mod sight;
 
 mod fit;
 mod problem;
+#[cfg(test)]
+mod tests;
 
 pub use face::Face;
 pub use fit::{Views, fit};
