@@ -42,16 +42,17 @@ pub fn chessboard_corners(
     image: &Image<u8>,
     inner: [u32; 2],
 ) -> Result<Option<Vec<Point2<f64>>>, Problem> {
-    let thorough = calib3d::CALIB_CB_NORMALIZE_IMAGE | calib3d::CALIB_CB_EXHAUSTIVE | calib3d::CALIB_CB_ACCURACY;
+    let quick = calib3d::CALIB_CB_NORMALIZE_IMAGE | calib3d::CALIB_CB_ACCURACY;
+    let thorough = quick | calib3d::CALIB_CB_EXHAUSTIVE;
     let pattern = Size::new(inner[0] as i32, inner[1] as i32);
     let lifted = image.map(|v| (255.0 * (f64::from(*v) / 255.0).sqrt()).round() as u8);
     let pictures = [matrix(image)?, matrix(&lifted)?];
     let enlargement = (ENLARGED_PX / image.width().max(image.height()) as f64).round().clamp(1.0, 4.0);
     let mut corners = Vector::<Point2f>::new();
-    for enlargement in [enlargement, 1.0] {
+    for (enlargement, flags) in [(enlargement, quick), (enlargement, thorough), (1.0, thorough)] {
         for picture in &pictures {
             let picture = enlarge(picture, enlargement)?;
-            if calib3d::find_chessboard_corners_sb(&picture, pattern, &mut corners, thorough)? {
+            if calib3d::find_chessboard_corners_sb(&picture, pattern, &mut corners, flags)? {
                 return Ok(Some(points(&corners, enlargement)));
             }
         }

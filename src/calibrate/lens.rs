@@ -50,7 +50,7 @@ pub fn fit(views: &[BoardView], width_px: u32, height_px: u32, focal_px: Option<
         free = simpler;
         fit = calibrate(&kept, free)?;
     }
-    let relative = fit.focal_sigma_px[0] / fit.intrinsics.focal_px[0];
+    let relative = fit.focal_sigma_px[0].max(fit.focal_sigma_px[1]) / fit.intrinsics.focal_px[0];
     if relative.is_nan() || relative > MAX_RELATIVE_SIGMA {
         return Err(Problem::FocalUncertain { relative, limit: MAX_RELATIVE_SIGMA });
     }
