@@ -304,7 +304,7 @@ settings! {
 settings! {
     /// The augmented photograph.
     Composite {
-        /// Also write `augmented_tonemapped.png`, by this operator; the plate's own response is the default picture.
+        /// Exposure of the displayed picture, stops, where the plate is linear; otherwise its own response makes it.
         exposure_ev: f32 = 0.0,
     }
 }

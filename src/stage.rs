@@ -72,7 +72,19 @@ pub const STAGES: &[Stage] = &[
     Stage {
         name: "evaluate",
         version: 1,
-        reads: &["ingest", "response", "merge", "calibrate", "render", "composite"],
+        reads: &[
+            "ingest",
+            "response",
+            "merge",
+            "calibrate",
+            "probe",
+            "model",
+            "illuminate",
+            "irradiance",
+            "transfer",
+            "render",
+            "composite",
+        ],
         about: "judge the result against a reference",
     },
 ];

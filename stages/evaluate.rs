@@ -1,3 +1,125 @@
-//! Stage `evaluate`.
+//! Stage `evaluate`: figures and report.
 
-fn main() {}
+use insitu::artefact::{REMAKE, exr, json};
+use insitu::calibrate::Cameras;
+use insitu::error::{Context as _, Error, FileContext, Result};
+use insitu::evaluate::gallery::{Gallery, gallery};
+use insitu::evaluate::references::{read_reference, read_truth};
+use insitu::evaluate::{Comparison, Measured, Ours, Page, Reference, Report, check_bounds, compare, page};
+use insitu::exposure::Capture;
+use insitu::image::{Image, RadianceImage};
+use insitu::probe::ProbeFit;
+use insitu::render::Layer;
+use insitu::response::Response;
+use insitu::stage::{self, Context};
+
+fn main() -> std::process::ExitCode {
+    insitu::cli::stage_main("evaluate", |ctx| {
+        check_bounds(&ctx.pipeline.evaluate.bounds)?;
+        let capture: Capture = json::read(&ctx.artefact("ingest", "capture.json")?)?;
+        let response: Response = json::read(&ctx.artefact("response", "response.json")?)?;
+        let (plate, clipped) = read_plate(ctx)?;
+        let composite = exr::read_radiance(&ctx.artefact("composite", "augmented.exr")?)?;
+        let path = ctx.artefact("render", "object.exr")?;
+        let object = Layer::from_planes(&exr::read(&path)?).ok_or_else(|| {
+            Error::file("reading the object's layer", &path, "lacks R, G, B, A or Z", REMAKE)
+        })?;
+        let ours =
+            Ours { plate: &plate, composite: &composite, coverage: &object.coverage, clipped: &clipped };
+        let (srgb, scale) = (Response::srgb(), ctx.pipeline.composite.exposure_ev.exp2());
+        let linear = capture.plate()?.linear;
+        let encode = |v: [f32; 3]| {
+            if linear { srgb.code_of(v.map(|x| x * scale)) } else { response.code_of(v) }
+        };
+        let mut measured = Measured::default();
+        let reference = read_reference(ctx)?;
+        let comparison = match &reference {
+            Some(r) => Some(compare(&ours, r, encode, &mut measured).doing("comparing with the reference")?),
+            None => None,
+        };
+        let compared = reference.as_ref().zip(comparison.as_ref());
+        let notes = judge_stages(ctx, &response, &ours, compared, &mut measured)?;
+        write(ctx, &measured, gallery(&ours, comparison.as_ref(), encode), reference.is_some(), notes)
+    })
+}
+
+/// The merged plate and where it is clipped.
+fn read_plate(ctx: &Context) -> Result<(RadianceImage, Image<bool>)> {
+    let path = ctx.artefact("merge", "plate.exr")?;
+    let planes = exr::read(&path)?;
+    let refuse = || Error::file("reading the plate", &path, "lacks R, G, B or clipped", REMAKE);
+    let clipped = planes.plane("clipped").ok_or_else(refuse)?.iter().map(|c| *c > 0.5).collect();
+    let clipped = Image::from_pixels(planes.width, planes.height, clipped);
+    Ok((planes.radiance().ok_or_else(refuse)?, clipped))
+}
+
+/// Single stages against `truth.json`, if it is given. Returns remarks for the report.
+fn judge_stages(
+    ctx: &Context,
+    response: &Response,
+    ours: &Ours,
+    compared: Option<(&Reference, &Comparison)>,
+    out: &mut Measured,
+) -> Result<Vec<String>> {
+    let settings = &ctx.pipeline.evaluate;
+    let Some(truth) = read_truth(ctx)? else {
+        return Ok(compared.map(|_| "The noise of the reference is unknown.".into()).into_iter().collect());
+    };
+    let doing = "judging stages against truth";
+    let cameras: Cameras = json::read(&ctx.artefact("calibrate", "cameras.json")?)?;
+    truth.judge_camera(cameras.plate_camera(), &cameras.plate, out).doing(doing)?;
+    truth.judge_response(|c| response.exposure_of(c), out).doing(doing)?;
+    let probe: ProbeFit = json::read(&ctx.artefact("probe", "probe.json")?)?;
+    truth.judge_ball(&probe.centre, out).doing(doing)?;
+    let Some((reference, comparison)) = compared else { return Ok(Vec::new()) };
+    if let Some(empty) = &reference.empty {
+        truth.judge_radiance(ours, empty, &cameras.plate, out).doing(doing)?;
+    }
+    let stem = settings.reference.as_ref().and_then(|p| p.file_stem()).unwrap_or_default();
+    Ok(truth.judge_noise(&stem.to_string_lossy(), comparison, out).into_iter().collect())
+}
+
+fn write(
+    ctx: &Context,
+    measured: &Measured,
+    gallery: Gallery,
+    judged: bool,
+    notes: Vec<String>,
+) -> Result<()> {
+    let settings = &ctx.pipeline.evaluate;
+    let named = [
+        ("reference", &settings.reference),
+        ("reference_empty", &settings.reference_empty),
+        ("reference_mask", &settings.reference_mask),
+        ("truth", &settings.truth),
+    ];
+    let path = |(role, p): (&str, &Option<std::path::PathBuf>)| {
+        Some((role.into(), p.as_ref()?.display().to_string()))
+    };
+    let (width, height) = gallery.pictures[0].1.size();
+    let report = Report {
+        judged,
+        size_px: [width, height],
+        references: named.into_iter().filter_map(path).collect(),
+        figures: measured.figures(&settings.bounds),
+    };
+    if report.figures.is_empty() {
+        ctx.warn("no reference and no truth is given: there is nothing to judge against");
+    }
+    report.table().iter().for_each(|line| ctx.printer.say(line));
+    for figure in &report.figures {
+        ctx.figure(&figure.name, figure.value);
+    }
+    let earlier = stage::STAGES.iter().filter(|s| s.name != "evaluate");
+    let stages = earlier.filter_map(|s| ctx.manifest(s.name).ok()).collect();
+    let title = ctx.base.file_name().map_or("insitu".into(), |n| n.to_string_lossy().into_owned());
+    let Gallery { pictures, maps } = gallery;
+    let html = page(&Page { title: &title, report: &report, pictures, maps, stages, notes })?;
+    let write = |name: &str, text: &str| {
+        let path = ctx.output(name);
+        std::fs::write(&path, text).at("writing", &path)
+    };
+    write("report.html", &html)?;
+    write("report.csv", &report.to_csv())?;
+    json::write(&ctx.output("report.json"), &report)
+}

@@ -1,3 +1,94 @@
-//! Stage `render`.
+//! Stage `render`: shadow and object as layers.
 
-fn main() {}
+use insitu::artefact::{exr, json};
+use insitu::calibrate::Cameras;
+use insitu::error::{Context as _, Result};
+use insitu::illuminate;
+use insitu::irradiance::Volume;
+use insitu::model::{Scene, face};
+use insitu::render::{self, Environment, Lighting, Object, Shadowed};
+use insitu::shadow::{self, Occluder, Receivers};
+use insitu::stage::{Context, Input, digest_file};
+use insitu::transfer::Transfers;
+use insitu::visibility::Bvh;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+fn main() -> std::process::ExitCode {
+    insitu::cli::stage_main("render", |ctx| {
+        let settings = &ctx.pipeline.render;
+        let cameras: Cameras = json::read(&ctx.artefact("calibrate", "cameras.json")?)?;
+        let camera = cameras.plate_camera();
+        let scene: Scene = json::read(&ctx.artefact("model", "scene.json")?)?;
+        let plate = exr::read_radiance(&ctx.artefact("merge", "plate.exr")?)?;
+        let light = illuminate::read_light(&folder(ctx, "illuminate", &["patches.ply", "distant.json"])?)?;
+        let volume = Volume::read(&ctx.artefact("irradiance", "irradiance.ply")?)?;
+        let transfers = Transfers::read(&folder(ctx, "transfer", &Transfers::FILES)?)?;
+        let object = load(ctx)?;
+        let faces = face::triangulate(&scene.faces);
+        let scene_bvh = Bvh::new(&faces.vertices, &faces.triangles);
+        let warnings = render::check_placement(&object, camera, &faces.vertices, &scene_bvh)
+            .doing("placing the object in the scene")?;
+        warnings.into_iter().for_each(|w| ctx.warn(w));
+
+        let started = Instant::now();
+        let receivers = Receivers::cast(camera, &light.mesh);
+        let occluder = Occluder { vertices: object.vertices.clone(), triangles: object.triangles.clone() };
+        let shadows =
+            shadow::Scene { light: &light, transfers: &transfers, receivers: &receivers, plate: &plate };
+        let removed = shadow::removed_radiance(&shadows, &occluder, settings).doing("finding the shadow")?;
+        ctx.figure("shadow_s", started.elapsed().as_secs_f64());
+        ctx.figure("sources_used", removed.sources_used);
+        ctx.figure("left_out_share", removed.left_out_share);
+        if let Some(noise) = removed.noise {
+            ctx.figure("shadow_noise", noise);
+        }
+
+        let started = Instant::now();
+        let [low, high] = object.bounds();
+        let light_bvh = Bvh::new(&light.mesh.vertices, &light.mesh.triangles());
+        let width = settings.environment_px.max(8);
+        let environment = Environment::cast(&light, &light_bvh, (low + high) / 2.0, width, width / 2);
+        let irradiance = |position, normal| volume.irradiance(position, normal);
+        let shadowed = Shadowed { camera, plate: &plate, removed: &removed.epsilon, scene: &scene_bvh };
+        let lighting =
+            Lighting::new(&irradiance, &environment, &object, settings.shading_rays, Some(&shadowed));
+        let rendered =
+            render::render(&object, camera, &scene_bvh, &lighting, settings.antialiasing, settings.seed);
+        ctx.figure("shade_s", started.elapsed().as_secs_f64());
+        ctx.figure("object_visible_px", rendered.visible_px);
+        ctx.figure("object_hidden_px", rendered.hidden_px);
+        if rendered.visible_px == 0.0 {
+            ctx.warn("no pixel shows the object: the scene hides it");
+        }
+
+        let seen = receivers.pixels.pixels().iter().map(|r| if r.is_some() { 1.0 } else { 0.0 }).collect();
+        let (width, height) = plate.size();
+        let mask = exr::Planes { width, height, channels: vec![("Y".into(), seen)] };
+        exr::write(&ctx.output("receivers.exr"), &mask, exr::Kind::Picture)?;
+        exr::write_radiance(&ctx.output("removed.exr"), &removed.epsilon)?;
+        exr::write(
+            &ctx.output("environment.exr"),
+            &exr::Planes::from_radiance(&environment.map),
+            exr::Kind::LatLong,
+        )?;
+        exr::write(&ctx.output("object.exr"), &rendered.layer.to_planes(), exr::Kind::Picture)
+    })
+}
+
+/// The folder of an earlier stage, all named files of which are read.
+fn folder(ctx: &Context, stage: &str, files: &[&str]) -> Result<PathBuf> {
+    let paths = files.iter().map(|f| ctx.artefact(stage, f)).collect::<Result<Vec<_>>>()?;
+    Ok(paths.first().and_then(|p| p.parent()).unwrap_or(Path::new("")).to_path_buf())
+}
+
+fn load(ctx: &Context) -> Result<Object> {
+    let settings = &ctx.pipeline.render;
+    let object = render::load_object(&ctx.user_file(&settings.object)?, settings)?;
+    for file in &object.files {
+        ctx.depends_on(file, Input::File(digest_file(file)?));
+    }
+    object.warnings.iter().for_each(|w| ctx.warn(w));
+    ctx.figure("object_triangles", object.triangles.len());
+    Ok(object)
+}

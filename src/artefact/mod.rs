@@ -6,4 +6,4 @@ pub mod npy;
 pub mod ply;
 
 /// What to do about an artefact that cannot be used.
-pub(crate) const REMAKE: &str = "run `insitu run --force --from` the stage that writes it";
+pub const REMAKE: &str = "run `insitu run --force --from` the stage that writes it";

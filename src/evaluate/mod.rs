@@ -4,8 +4,10 @@ pub mod compare;
 pub mod display;
 pub mod errors;
 pub mod figures;
+pub mod gallery;
 mod html;
 mod pictures;
+pub mod references;
 pub mod region;
 pub mod truth;
 

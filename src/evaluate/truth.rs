@@ -1,7 +1,10 @@
 //! Single stages against the truth of a rendered capture (`truth.json`; its world is +Z up).
 
+use super::compare::{Comparison, Ours};
+use super::errors;
 use super::figures::Measured;
 use crate::camera::Camera;
+use crate::image::RadianceImage;
 use nalgebra::{Matrix4, Point3, Vector4};
 use serde_json::Value;
 
@@ -123,10 +126,43 @@ impl Truth {
             .ok_or_else(|| Problem::Shape("images.exposure_scale".into()))
     }
 
-    /// Noise of the difference of the reference `with_object_NAME` and the empty one, as a share of the mean radiance where
-    /// they differ; `None` if it was not measured.
-    pub fn difference_noise(&self, reference_stem: &str) -> Option<f64> {
-        self.value["truth_noise"][reference_stem]["difference_rmse_over_mean_where_changed_5pct"].as_f64()
+    /// Merged radiance without a free scale: the plate against the empty reference at the truth's own exposure.
+    pub fn judge_radiance(
+        &self,
+        ours: &Ours,
+        empty: &RadianceImage,
+        file: &str,
+        out: &mut Measured,
+    ) -> Result<(), Problem> {
+        let usable = ours.clipped.map(|c| !c);
+        let scale = self.plate_scale(file)?;
+        if let Some(e) = errors::median_relative_error(ours.plate, empty, &usable, scale) {
+            out.put("radiance_error_unscaled_percent", 100.0 * e);
+        }
+        Ok(())
+    }
+
+    /// Noise of the reference's ε*, from two seeds; says so where it is not known.
+    pub fn judge_noise(
+        &self,
+        reference: &str,
+        comparison: &Comparison,
+        out: &mut Measured,
+    ) -> Option<String> {
+        match (self.difference_noise(reference), comparison.rms_and_mean) {
+            (Some(noise), Some((rms, mean))) => {
+                out.put("reference_noise", noise * mean / rms);
+                None
+            }
+            (None, _) => Some(format!("The noise of the reference {reference} is unknown.")),
+            (_, None) => None,
+        }
+    }
+
+    /// Noise of the difference of a reference, by its file's stem, and the empty one, as a share of the mean radiance
+    /// where they differ; `None` if it was not measured.
+    pub fn difference_noise(&self, reference: &str) -> Option<f64> {
+        self.value["truth_noise"][reference]["difference_rmse_over_mean_where_changed_5pct"].as_f64()
     }
 }
 

@@ -66,7 +66,7 @@ pub fn render(
     let scene = Scene { object, bvh: &bvh, offset: (high - low).length() * 1e-4 };
     let window = window(object, camera);
     let share = 1.0 / (side * side) as f32;
-    let rows: Vec<Vec<([f32; 3], f32, f32, f32)>> = (window[1]..window[3])
+    let rows: Vec<Vec<Pixel>> = (window[1]..window[3])
         .into_par_iter()
         .map(|y| {
             let mut samples = Vec::with_capacity(side * side);
@@ -88,12 +88,12 @@ pub fn render(
                 }
                 let hidden = hidden as f32 * share;
                 if samples.is_empty() {
-                    return ([0.0; 3], 0.0, 0.0, hidden);
+                    return Pixel { hidden, ..Pixel::default() };
                 }
                 let coverage = samples.len() as f32 * share;
                 let depth = samples.iter().map(|s| s.depth).sum::<f32>() / samples.len() as f32;
                 let radiance = shade(&scene, lighting, &samples, &mut rng);
-                (radiance.map(|v| v * coverage), coverage, depth, hidden)
+                Pixel { colour: radiance.map(|v| v * coverage), coverage, depth, hidden }
             });
             row.collect()
         })
@@ -108,7 +108,7 @@ pub fn render(
         hidden_px: 0.0,
     };
     for (y, row) in (window[1]..).zip(rows) {
-        for (x, (colour, coverage, depth, hidden)) in (window[0]..).zip(row) {
+        for (x, Pixel { colour, coverage, depth, hidden }) in (window[0]..).zip(row) {
             *rendered.layer.colour.at_mut(x, y) = Radiance(colour);
             *rendered.layer.coverage.at_mut(x, y) = coverage;
             *rendered.layer.depth.at_mut(x, y) = depth;
@@ -117,6 +117,16 @@ pub fn render(
         }
     }
     rendered
+}
+
+#[derive(Debug, Clone, Copy, Default)]
+struct Pixel {
+    /// Premultiplied.
+    colour: [f32; 3],
+    coverage: f32,
+    depth: f32,
+    /// Share of the pixel where the scene hides the object.
+    hidden: f32,
 }
 
 enum Seen {
