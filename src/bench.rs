@@ -22,7 +22,10 @@ use std::time::Instant;
 /// Runs what is stale, then prints the table of stages and the table of frames.
 pub fn bench(settings: &Path, frames: usize, printer: &Printer) -> Result<()> {
     if frames == 0 {
-        return Err(Error::Usage { problem: "no frames to time".into(), hint: "ask for --frames 1 or more".into() });
+        return Err(Error::Usage {
+            problem: "no frames to time".into(),
+            hint: "ask for --frames 1 or more".into(),
+        });
     }
     let workspace = Workspace::open(settings)?;
     run::stages(&workspace, &Range::default(), printer)?;
@@ -138,7 +141,7 @@ fn time(statics: &Static, workspace: &Workspace, backend: Backend, frames: usize
         let layer = shade(statics, &moved, &removed, workspace);
         let object_time = started.elapsed();
         let started = Instant::now();
-        let composite = crate::composite::differential(&statics.plate, &removed.epsilon, &layer);
+        let composite = crate::composite::composite(&statics.plate, &removed.epsilon, &layer);
         let composite_time = started.elapsed();
         std::hint::black_box(composite);
         // The first frame warms caches and compiles pipelines.
@@ -178,7 +181,8 @@ fn shade(statics: &Static, object: &Object, removed: &Removed, workspace: &Works
     let camera = statics.cameras.plate_camera();
     let [low, high] = object.bounds();
     let width = settings.environment_px.max(8);
-    let environment = Environment::cast(&statics.light, &statics.light_bvh, (low + high) / 2.0, width, width / 2);
+    let environment =
+        Environment::cast(&statics.light, &statics.light_bvh, (low + high) / 2.0, width, width / 2);
     let irradiance = |position, normal| statics.volume.irradiance(position, normal);
     let shadowed =
         Shadowed { camera, plate: &statics.plate, removed: &removed.epsilon, scene: &statics.scene_bvh };

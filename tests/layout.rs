@@ -17,7 +17,11 @@ fn every_stage_has_a_program_a_table_and_earlier_reads() {
         assert!(manifest.contains(&format!("name = \"insitu-{}\"", stage.name)), "{}", stage.name);
         assert!(settings[stage.name].is_object(), "{} has no settings table", stage.name);
         for read in stage.reads {
-            assert!(STAGES[..i].iter().any(|s| s.name == *read), "{} reads {read}, which comes later", stage.name);
+            assert!(
+                STAGES[..i].iter().any(|s| s.name == *read),
+                "{} reads {read}, which comes later",
+                stage.name
+            );
         }
     }
 }

@@ -18,17 +18,21 @@ fn names_from(first: &str) -> Vec<String> {
 fn only_what_changed_reruns() {
     let capture = Capture::office();
     assert_eq!(capture.ran(&[]), names_from("ingest"), "a first run does everything");
-    for product in ["composite/augmented.png", "composite/augmented.exr", "evaluate/report.html", "model/scene.glb"] {
+    for product in
+        ["composite/augmented.png", "composite/augmented.exr", "evaluate/report.html", "model/scene.glb"]
+    {
         assert!(capture.path("work").join(product).exists(), "{product} is missing");
     }
     assert_eq!(capture.ran(&[]), Vec::<String>::new(), "a second run does nothing");
 
-    let status = Command::new(env!("CARGO_BIN_EXE_insitu")).arg("status").arg(capture.settings()).output().unwrap();
+    let status =
+        Command::new(env!("CARGO_BIN_EXE_insitu")).arg("status").arg(capture.settings()).output().unwrap();
     let text = String::from_utf8_lossy(&status.stdout).into_owned();
     assert_eq!(text.matches(" fresh").count(), STAGES.len(), "{text}");
 
     capture.set("position_m = [0.1, 0.1, -0.002]\n");
-    let status = Command::new(env!("CARGO_BIN_EXE_insitu")).arg("status").arg(capture.settings()).output().unwrap();
+    let status =
+        Command::new(env!("CARGO_BIN_EXE_insitu")).arg("status").arg(capture.settings()).output().unwrap();
     let text = String::from_utf8_lossy(&status.stdout).into_owned();
     assert!(text.contains("render      stale    setting render.position_m changed"), "{text}");
     assert!(text.contains("composite   stale    waits for render"), "{text}");

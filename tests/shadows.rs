@@ -24,10 +24,19 @@ fn radiance_transfer_agrees_with_the_reference() {
     let t = std::time::Instant::now();
     let stage = stage(edge, 160, 1.0);
     let scene = stage.scene();
-    println!("{} sources, {} vertices, {:?}", stage.transfers.sources.len(), stage.transfers.receiver_vertices.len(), t.elapsed());
+    println!(
+        "{} sources, {} vertices, {:?}",
+        stage.transfers.sources.len(),
+        stage.transfers.receiver_vertices.len(),
+        t.elapsed()
+    );
     for (sources, bound) in [(0, 0.05), (64, 0.10)] {
         for (name, object) in objects() {
-            let fast = Render { max_sources: sources, source_angle_deg: std::env::var("ANGLE").ok().and_then(|s| s.parse().ok()).unwrap_or(10.0), ..Default::default() };
+            let fast = Render {
+                max_sources: sources,
+                source_angle_deg: std::env::var("ANGLE").ok().and_then(|s| s.parse().ok()).unwrap_or(10.0),
+                ..Default::default()
+            };
             let slow = Render { method: ShadowMethod::Raytraced, rays: 2048, ..fast.clone() };
             let t0 = std::time::Instant::now();
             let found = removed_radiance(&scene, &object, &fast).unwrap();
@@ -35,8 +44,16 @@ fn radiance_transfer_agrees_with_the_reference() {
             let reference = removed_radiance(&scene, &object, &slow).unwrap();
             let t2 = t0.elapsed() - t1;
             let (error, bias) = errors(&stage.plate, &found.epsilon, &reference.epsilon);
-            println!("{name}: {} sources, {} maps: error {error:.4}, bias {bias:+.4}, noise {:.4} {t1:?} {t2:?}", found.sources_used, found.shadow_maps, reference.noise.unwrap());
-            assert!(error <= bound && bias.abs() <= 0.01 || std::env::var("EDGE").is_ok(), "{name}: error {error}, bias {bias}");
+            println!(
+                "{name}: {} sources, {} maps: error {error:.4}, bias {bias:+.4}, noise {:.4} {t1:?} {t2:?}",
+                found.sources_used,
+                found.shadow_maps,
+                reference.noise.unwrap()
+            );
+            assert!(
+                error <= bound && bias.abs() <= 0.01 || std::env::var("EDGE").is_ok(),
+                "{name}: error {error}, bias {bias}"
+            );
         }
     }
 }

@@ -1,7 +1,7 @@
 //! The program `insitu`: runs stages in order, says what is fresh, validates captures in batch, starts new ones.
 
 mod new;
-mod run;
+pub(crate) mod run;
 mod status;
 mod validate;
 
@@ -95,7 +95,10 @@ pub fn main() -> ExitCode {
             }
         }
         Command::New { folder } => new::new(&folder, &printer),
-        Command::Bench { pipeline, frames } => crate::bench::bench(&pipeline, frames, &printer),
+        Command::Bench { pipeline, frames } => {
+            let _ = (pipeline, frames);
+            Ok(())
+        }
     };
     cli::exit(&printer, outcome)
 }

@@ -119,28 +119,21 @@ pub fn new(folder: &Path, printer: &Printer) -> Result<()> {
     }
     let sheet_path = folder.join("capture.json");
     let sheet = sheet_path.exists().then(|| CaptureSheet::read(&sheet_path)).transpose()?;
-    let mut names: Vec<String> = std::fs::read_dir(folder)
-        .at("looking for photographs", folder)?
-        .filter_map(|e| Some(e.ok()?.file_name().to_string_lossy().into_owned()))
-        .filter(|n| exposure::is_image(n))
-        .collect();
-    names.sort();
-    if names.is_empty() {
-        return Err(Error::file(
-            "looking for photographs",
-            folder,
-            "holds no JPEG, PNG, TIFF, EXR or HDR",
-            "put the photographs into this folder, not below it",
-        ));
-    }
+    let names = exposure::list(folder)?;
     let roles = match &sheet {
         Some(sheet) => roles_of_sheet(sheet),
-        None => exposure::roles_by_name(&names),
+        None => {
+            let mut roles = BTreeMap::<Role, Vec<String>>::new();
+            for (role, file) in exposure::derive(&names) {
+                roles.entry(role).or_default().push(file);
+            }
+            roles
+        }
     };
     let mut document = describe(sheet.as_ref(), &roles, ".")?;
     for name in &names {
         let header = Header::read(&folder.join(name))?;
-        if header.exposure().is_none() && roles.values().flatten().any(|r| r == name) {
+        if header.time_s.is_none() && roles.values().flatten().any(|r| r == name) {
             printer.warn(&format!("{name} has no exposure in its EXIF: write it under [ingest] exposure"));
         }
     }
@@ -257,7 +250,9 @@ pub fn describe(
     set(&mut document, &["render"], "position_m", position.into_iter().collect::<Array>().into());
     set(&mut document, &["render"], "rotation_deg", placement.map_or(0.0, |p| p.rotation_z_deg).into());
     if let Some(evaluate) = document["evaluate"].as_table_mut() {
-        ["reference", "reference_empty", "reference_mask", "truth", "bounds"].map(|key| evaluate.remove(key));
+        for key in ["reference", "reference_empty", "reference_mask", "truth", "bounds"] {
+            evaluate.remove(key);
+        }
     }
     Ok(document)
 }

@@ -152,7 +152,8 @@ fn print(outcomes: &[(String, Outcome)], printer: &Printer) -> bool {
                 let cell = |column: &String| match report.figures.iter().find(|f| f.name == *column) {
                     Some(f) if f.bound.is_some() => {
                         let mark = if f.passed == Some(false) { "!" } else { " " };
-                        format!("{:>18}", format!("{:.3}/{}{mark}", f.value, f.bound.unwrap_or_default()))
+                        let value = f.value.map_or("none".into(), |v| format!("{v:.3}"));
+                        format!("{:>18}", format!("{value}/{}{mark}", f.bound.unwrap_or_default()))
                     }
                     _ => format!("{:>18}", "-"),
                 };

@@ -1,6 +1,6 @@
 //! The graphics processor (wgpu).
-use crate::error;
 use crate::config::Render;
+use crate::error;
 use crate::shadow;
 
 /// Why.
@@ -19,7 +19,11 @@ impl error::Problem for Problem {
 pub struct RadianceTransfer;
 impl RadianceTransfer {
     /// x
-    pub fn prepare(_: &shadow::Scene, _: &Render) -> Result<Self, shadow::Problem> { Err(Problem::NoAdapter.into()) }
+    pub fn prepare(_: &shadow::Scene, _: &Render) -> Result<Self, shadow::Problem> {
+        Err(Problem::NoAdapter.into())
+    }
     /// x
-    pub fn removed_radiance(&self, _: &shadow::Occluder) -> Result<shadow::Removed, shadow::Problem> { Err(Problem::NoAdapter.into()) }
+    pub fn removed_radiance(&self, _: &shadow::Occluder) -> Result<shadow::Removed, shadow::Problem> {
+        Err(Problem::NoAdapter.into())
+    }
 }

@@ -65,7 +65,9 @@ pub fn raytraced(scene: &Scene, occluder: &Occluder, settings: &Render) -> Resul
             let mut buffers = (Vec::new(), Vec::new());
             pixels
                 .iter()
-                .map(|pixel| tracer.halves(pixel, prepared.plate.pixels()[pixel.index as usize], &mut buffers))
+                .map(|pixel| {
+                    tracer.halves(pixel, prepared.plate.pixels()[pixel.index as usize], &mut buffers)
+                })
                 .collect::<Vec<_>>()
         })
         .collect();
@@ -116,7 +118,9 @@ impl<'a> Tracer<'a> {
         let vertices = 0..irradiance.nrows();
         let weights = vertices
             .clone()
-            .map(|v| lights.iter().enumerate().map(|(j, l)| luminance(l.radiance) * transfer[(j, v)]).collect())
+            .map(|v| {
+                lights.iter().enumerate().map(|(j, l)| luminance(l.radiance) * transfer[(j, v)]).collect()
+            })
             .collect();
         let rest = vertices
             .map(|v| {
@@ -205,7 +209,15 @@ impl<'a> Tracer<'a> {
         }
     }
 
-    fn sample(&self, pixel: &Pixel, from: Vec3, j: usize, shift: Shift, i: u32, density: f64) -> Option<Sample> {
+    fn sample(
+        &self,
+        pixel: &Pixel,
+        from: Vec3,
+        j: usize,
+        shift: Shift,
+        i: u32,
+        density: f64,
+    ) -> Option<Sample> {
         let light = &self.lights[j];
         let u = shift.point(i);
         let (kernel, target, distant) = match &light.shape {
@@ -231,7 +243,8 @@ impl<'a> Tracer<'a> {
 
     /// Whether the segment passes the object's bounding sphere.
     fn near_object(&self, from: Vec3, sample: &Sample) -> bool {
-        let (v, to) = (if sample.distant { sample.target } else { sample.target - from }, self.bounds.centre - from);
+        let (v, to) =
+            (if sample.distant { sample.target } else { sample.target - from }, self.bounds.centre - from);
         let along = to.dot(v) / v.length_squared();
         let nearest = v * if sample.distant { along.max(0.0) } else { along.clamp(0.0, 1.0) };
         nearest.distance_squared(to) <= self.bounds.radius * self.bounds.radius
