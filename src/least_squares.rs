@@ -2,8 +2,8 @@
 //! parameters, an optional robust loss, and a verdict on what the data determine.
 
 use argmin::core::{
-    CostFunction, Error as ArgminError, Executor, Gradient, Hessian, IterState, KV, Problem as Counted, Solver,
-    State, TerminationReason, TrustRegionRadius,
+    CostFunction, Error as ArgminError, Executor, Gradient, Hessian, IterState, KV, Problem as Counted,
+    Solver, State, TerminationReason, TrustRegionRadius,
 };
 use argmin::solver::trustregion::TrustRegion;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
@@ -130,12 +130,7 @@ const MAX_RUNS: usize = 60;
 const STEP_SIGMA: f64 = 1e-4;
 
 /// Fits parameters from `start`. `names` are for messages.
-pub fn minimise(
-    model: &impl Residuals,
-    names: &[String],
-    start: &[f64],
-    loss: Loss,
-) -> Result<Fit, Problem> {
+pub fn minimise(model: &impl Residuals, names: &[String], start: &[f64], loss: Loss) -> Result<Fit, Problem> {
     let mut x = DVector::from_column_slice(start);
     let mut step = f64::INFINITY;
     for _ in 0..MAX_RUNS {
@@ -325,8 +320,7 @@ fn step_within(gradient: &DVector<f64>, hessian: &DMatrix<f64>, radius: f64) -> 
     let eigen = SymmetricEigen::new(hessian.clone());
     let floor = eigen.eigenvalues.max() * 1e-14;
     let g = eigen.eigenvectors.tr_mul(gradient);
-    let damped =
-        |mu: f64| g.zip_map(&eigen.eigenvalues, |g, l| if l > floor { -g / (l + mu) } else { 0.0 });
+    let damped = |mu: f64| g.zip_map(&eigen.eigenvalues, |g, l| if l > floor { -g / (l + mu) } else { 0.0 });
     let mut p = damped(0.0);
     if p.norm() > radius {
         // ‖p(μ)‖ falls monotonically and is below the radius at μ = ‖g‖ / radius.

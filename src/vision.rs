@@ -20,7 +20,9 @@ pub enum Problem {
 impl crate::error::Problem for Problem {
     fn hint(&self) -> String {
         match self {
-            Self::OpenCv(_) => "check that the grid photographs are sharp and the number of corners is right".into(),
+            Self::OpenCv(_) => {
+                "check that the grid photographs are sharp and the number of corners is right".into()
+            }
         }
     }
 }
@@ -38,10 +40,7 @@ const HALF: f64 = 0.5;
 ///
 /// Tried in turn: the sector-based detector (Duda and Frese 2018) on the enlarged picture, with shadows lifted, as it
 /// is; then the classic one with its corners refined by gradients. Enlarging a small picture halves the error.
-pub fn chessboard_corners(
-    image: &Image<u8>,
-    inner: [u32; 2],
-) -> Result<Option<Vec<Point2<f64>>>, Problem> {
+pub fn chessboard_corners(image: &Image<u8>, inner: [u32; 2]) -> Result<Option<Vec<Point2<f64>>>, Problem> {
     let quick = calib3d::CALIB_CB_NORMALIZE_IMAGE | calib3d::CALIB_CB_ACCURACY;
     let thorough = quick | calib3d::CALIB_CB_EXHAUSTIVE;
     let pattern = Size::new(inner[0] as i32, inner[1] as i32);
@@ -86,7 +85,8 @@ fn enlarge(picture: &Mat, enlargement: f64) -> Result<Mat, Problem> {
 /// Half a window that holds no second corner.
 fn refinement_window(corners: &Vector<Point2f>) -> i32 {
     let points = corners.to_vec();
-    let spacing = points.windows(2).map(|p| (p[1].x - p[0].x).hypot(p[1].y - p[0].y)).fold(f32::MAX, f32::min);
+    let spacing =
+        points.windows(2).map(|p| (p[1].x - p[0].x).hypot(p[1].y - p[0].y)).fold(f32::MAX, f32::min);
     ((spacing / 2.5) as i32).clamp(1, 11)
 }
 
@@ -168,10 +168,12 @@ pub fn calibrate_lens(
     focal_px: f64,
     free: FreeLens,
 ) -> Result<LensFit, Problem> {
-    let board = views.iter().map(|v| v.board.iter().map(|p| Point3f::new(p.x as f32, p.y as f32, 0.0)).collect());
+    let board =
+        views.iter().map(|v| v.board.iter().map(|p| Point3f::new(p.x as f32, p.y as f32, 0.0)).collect());
     let board: Vector<Vector<Point3f>> = board.collect();
     let theirs = |p: &Point2<f64>| Point2f::new((p.x - HALF) as f32, (p.y - HALF) as f32);
-    let pixels: Vector<Vector<Point2f>> = views.iter().map(|v| v.pixels.iter().map(theirs).collect()).collect();
+    let pixels: Vector<Vector<Point2f>> =
+        views.iter().map(|v| v.pixels.iter().map(theirs).collect()).collect();
     let start = Intrinsics::pinhole(width_px, height_px, focal_px);
     let (mut matrix, mut distortion) = (camera_matrix(&start)?, distortion(&start)?);
     let (mut rotations, mut translations) = (Vector::<Mat>::new(), Vector::<Mat>::new());
@@ -215,8 +217,7 @@ pub fn calibrate_lens(
 /// estimation (Collins and Bartoli 2014), which finds both minima of the two-fold ambiguity.
 pub fn planar_poses(view: &BoardView, intrinsics: &Intrinsics) -> Result<Vec<Isometry3<f64>>, Problem> {
     let board: Vector<Point3d> = view.board.iter().map(|p| Point3d::new(p.x, p.y, 0.0)).collect();
-    let pixels: Vector<Point2d> =
-        view.pixels.iter().map(|p| Point2d::new(p.x - HALF, p.y - HALF)).collect();
+    let pixels: Vector<Point2d> = view.pixels.iter().map(|p| Point2d::new(p.x - HALF, p.y - HALF)).collect();
     let (mut rotations, mut translations) = (Vector::<Mat>::new(), Vector::<Mat>::new());
     calib3d::solve_pnp_generic(
         &board,

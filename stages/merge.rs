@@ -21,13 +21,20 @@ fn main() -> std::process::ExitCode {
         let brackets: Vec<&Photo> = capture.with_role(Role::Brackets).collect();
         let merged = match linear_plate(ctx, &capture, plate, &brackets)? {
             Some(linear) => untouched(ctx, linear),
-            None => from_frames(ctx, &capture, if brackets.is_empty() { vec![plate] } else { brackets }, &response)?,
+            None => from_frames(
+                ctx,
+                &capture,
+                if brackets.is_empty() { vec![plate] } else { brackets },
+                &response,
+            )?,
         };
         ctx.figure("clipped_share", merged.clipped_share());
         ctx.figure("median_relative_standard_error", merged.median_relative_error());
         if merged.clipped_share() > 0.001 {
             let percent = 100.0 * merged.clipped_share();
-            ctx.warn(format!("{percent:.1} % of the plate is clipped in every exposure: light there is too low"));
+            ctx.warn(format!(
+                "{percent:.1} % of the plate is clipped in every exposure: light there is too low"
+            ));
         }
         write(ctx, &merged)
     })
@@ -71,7 +78,8 @@ fn from_frames(ctx: &Context, capture: &Capture, photos: Vec<&Photo>, response: 
         bar.inc(1);
     }
     bar.finish_and_clear();
-    let frames: Vec<_> = images.iter().map(|(codes, exposure)| Frame { codes, exposure: *exposure }).collect();
+    let frames: Vec<_> =
+        images.iter().map(|(codes, exposure)| Frame { codes, exposure: *exposure }).collect();
     let merged = merge::merge(&frames, response, unit, &ctx.pipeline.merge).doing("merging the exposures")?;
     let stops = merge::disagreement_stops(&frames, &merged, response, unit);
     for (photo, stops) in photos.iter().zip(&stops).filter(|(_, s)| **s > SUSPICIOUS_STOPS) {

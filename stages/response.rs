@@ -31,7 +31,9 @@ fn series<'a>(ctx: &Context, capture: &'a Capture) -> Vec<&'a Photo> {
         let photos: Vec<_> = capture.with_role(role).filter(|p| !p.linear).collect();
         if photos.len() > 1 {
             if role != chosen {
-                ctx.warn(format!("role {chosen:?} has no exposures: the response is fitted to role {role:?}"));
+                ctx.warn(format!(
+                    "role {chosen:?} has no exposures: the response is fitted to role {role:?}"
+                ));
             }
             return photos;
         }
@@ -45,7 +47,8 @@ fn fit(ctx: &Context, capture: &Capture, photos: &[&Photo]) -> Result<Response> 
         let codes = exposure::load(ctx, capture, photo)?.codes(photo.file.as_ref())?;
         images.push((codes, photo.exposure.map_or(1.0, |e| e.scale())));
     }
-    let frames: Vec<_> = images.iter().map(|(codes, exposure)| Frame { codes, exposure: *exposure }).collect();
+    let frames: Vec<_> =
+        images.iter().map(|(codes, exposure)| Frame { codes, exposure: *exposure }).collect();
     let files = format!("{} … {}", photos[0].file, photos[photos.len() - 1].file);
     let response =
         response::fit(&frames, &ctx.pipeline.response).doing(format!("fitting the response to {files}"))?;
@@ -55,8 +58,12 @@ fn fit(ctx: &Context, capture: &Capture, photos: &[&Photo]) -> Result<Response> 
     ctx.figure("condition_number", quality.condition);
     ctx.figure("black_level_code", response.curves.each_ref().map(|c| c.floor));
     ctx.figure("saturation_code", response.curves.each_ref().map(|c| c.clip));
-    ctx.figure("middle_standard_error_stops", response.curves.each_ref().map(|c| c.standard_error_stops(0.5)));
-    for (photo, stops) in photos.iter().zip(&quality.frame_stops).filter(|(_, s)| s.abs() > SUSPICIOUS_STOPS) {
+    ctx.figure(
+        "middle_standard_error_stops",
+        response.curves.each_ref().map(|c| c.standard_error_stops(0.5)),
+    );
+    for (photo, stops) in photos.iter().zip(&quality.frame_stops).filter(|(_, s)| s.abs() > SUSPICIOUS_STOPS)
+    {
         ctx.warn(format!("{} is {stops:+.2} stops off the fitted response: check its exposure", photo.file));
     }
     let rms = quality.rms_stops.into_iter().fold(0.0, f64::max);

@@ -64,7 +64,12 @@ pub fn find_oriented(image: &Image<u8>, settings: &config::Calibrate) -> Result<
 
 /// How much darker the margin is at the disc's place than beside it, at the (−x, −y) or (+x, +y) corner by `sign`;
 /// `None` where that lies outside the picture.
-fn disc_darkness(image: &Image<u8>, view: &BoardView, settings: &config::Calibrate, sign: f64) -> Option<f64> {
+fn disc_darkness(
+    image: &Image<u8>,
+    view: &BoardView,
+    settings: &config::Calibrate,
+    sign: f64,
+) -> Option<f64> {
     let pixel_from_board = homography(view)?;
     let [nx, ny] = settings.inner_corners.map(|n| (f64::from(n) - 1.0) / 2.0);
     let spot = |dx: f64, dy: f64| {
@@ -94,7 +99,8 @@ fn mean_around(
 
 fn bilinear(image: &Image<u8>, x: f64, y: f64) -> Option<f64> {
     let (fx, fy) = (x - 0.5, y - 0.5);
-    let inside = fx >= 0.0 && fy >= 0.0 && fx < image.width() as f64 - 1.0 && fy < image.height() as f64 - 1.0;
+    let inside =
+        fx >= 0.0 && fy >= 0.0 && fx < image.width() as f64 - 1.0 && fy < image.height() as f64 - 1.0;
     if !inside {
         return None;
     }

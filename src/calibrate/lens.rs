@@ -23,7 +23,12 @@ pub struct Lens {
 
 /// Fits the whole model, then drops one insignificant part after the other: k3, tangential, k2, k1, the second focal
 /// length, the principal point.
-pub fn fit(views: &[BoardView], width_px: u32, height_px: u32, focal_px: Option<f64>) -> Result<Lens, Problem> {
+pub fn fit(
+    views: &[BoardView],
+    width_px: u32,
+    height_px: u32,
+    focal_px: Option<f64>,
+) -> Result<Lens, Problem> {
     if views.len() < 3 {
         return Err(Problem::FewGrids { found: views.len() });
     }

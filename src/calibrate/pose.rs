@@ -50,7 +50,9 @@ pub fn fit(view: &View) -> Result<ViewPose, Problem> {
     // The two starts may end in one minimum.
     best.posed.rival_rms_px = fits
         .map(|(_, other)| other.posed)
-        .find(|o| o.camera.world_from_camera.rotation.angle_to(&best.posed.camera.world_from_camera.rotation) > 1e-3)
+        .find(|o| {
+            o.camera.world_from_camera.rotation.angle_to(&best.posed.camera.world_from_camera.rotation) > 1e-3
+        })
         .map(|o| o.rms_px);
     Ok(best)
 }
@@ -65,9 +67,17 @@ fn moved(start: &Isometry3<f64>, x: &[f64]) -> Isometry3<f64> {
 }
 
 fn names() -> Vec<String> {
-    ["the camera's x", "the camera's y", "the camera's z", "the tilt", "the heading", "the roll", "the room's turn"]
-        .map(String::from)
-        .to_vec()
+    [
+        "the camera's x",
+        "the camera's y",
+        "the camera's z",
+        "the tilt",
+        "the heading",
+        "the roll",
+        "the room's turn",
+    ]
+    .map(String::from)
+    .to_vec()
 }
 
 fn fit_from(view: &View, start: Isometry3<f64>) -> Result<(f64, ViewPose), Problem> {

@@ -78,7 +78,9 @@ pub enum Problem {
         f2_px2: f64,
     },
     /// Lines that do not meet.
-    #[error("the marked lines miss their vanishing points by {rms_px:.1} px (rms), the limit is {limit_px:.1} px")]
+    #[error(
+        "the marked lines miss their vanishing points by {rms_px:.1} px (rms), the limit is {limit_px:.1} px"
+    )]
     EdgesDisagree {
         /// What it is.
         rms_px: f64,
@@ -89,7 +91,9 @@ pub enum Problem {
     #[error("a pose from vanishing lines alone needs the marks `origin` and `scale`")]
     NoOriginOrScale,
     /// Marks of the known length that make no sense.
-    #[error("the marked length is {relative_length:.3} times the origin's depth; it or the origin is above the horizon")]
+    #[error(
+        "the marked length is {relative_length:.3} times the origin's depth; it or the origin is above the horizon"
+    )]
     ScaleMarks {
         /// Length with the origin at depth 1.
         relative_length: f64,

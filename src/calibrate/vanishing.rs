@@ -37,8 +37,7 @@ pub fn vanishing_point(edges: &[Edge], centre: Point2<f64>, scale: f64) -> Resul
     if edges.len() < 2 {
         return Err(Problem::FewEdges { found: edges.len() });
     }
-    let edges: Vec<Edge> =
-        edges.iter().map(|e| e.map(|p| Point2::from((p - centre) / scale))).collect();
+    let edges: Vec<Edge> = edges.iter().map(|e| e.map(|p| Point2::from((p - centre) / scale))).collect();
     // Algebraic start: the point nearest to all lines, long edges counting more.
     let lines: Vec<Vector3<f64>> =
         edges.iter().map(|[p, q]| p.to_homogeneous().cross(&q.to_homogeneous())).collect();
@@ -47,8 +46,9 @@ pub fn vanishing_point(edges: &[Edge], centre: Point2<f64>, scale: f64) -> Resul
     let start = eigen.eigenvectors.column(eigen.eigenvalues.imin()).clone_owned();
     let basis = tangents(&start);
     let at = |x: &DVector<f64>| (start + basis[0] * x[0] + basis[1] * x[1]).normalize();
-    let residuals =
-        |x: &DVector<f64>| Some(DVector::from_iterator(edges.len(), edges.iter().map(|e| edge_residual(&at(x), e))));
+    let residuals = |x: &DVector<f64>| {
+        Some(DVector::from_iterator(edges.len(), edges.iter().map(|e| edge_residual(&at(x), e))))
+    };
     let names = ["the vanishing point".to_string(), "the vanishing point".to_string()];
     // Lengths are in units of the image: a threshold of 3 px at some 800 px.
     let fit = least_squares::minimise(&residuals, &names, &[0.0; 2], Loss::Huber(0.004))?;
@@ -134,7 +134,10 @@ fn start_from_points(points: &[Option<Vector3<f64>>; 3], diagonal_px: f64) -> Re
     let finite: Vec<Vector2<f64>> =
         points.iter().flatten().filter(|v| v.xy().norm() < FAR * v.z.abs()).map(|v| v.xy() / v.z).collect();
     if finite.len() < 2 {
-        return Err(Problem::FewVanishingPoints { finite: finite.len(), marked: points.iter().flatten().count() });
+        return Err(Problem::FewVanishingPoints {
+            finite: finite.len(),
+            marked: points.iter().flatten().count(),
+        });
     }
     let pairs = (0..finite.len()).flat_map(|a| (0..a).map(move |b| (a, b)));
     // A pair is the better, the nearer its points.
@@ -144,7 +147,9 @@ fn start_from_points(points: &[Option<Vector3<f64>>; 3], diagonal_px: f64) -> Re
         .min_by(|a, b| a.1.total_cmp(&b.1));
     match best {
         Some((f2, _)) => Ok(f2.sqrt() * diagonal_px),
-        None => Err(Problem::NegativeFocal { f2_px2: -finite[0].dot(&finite[1]) * diagonal_px * diagonal_px }),
+        None => {
+            Err(Problem::NegativeFocal { f2_px2: -finite[0].dot(&finite[1]) * diagonal_px * diagonal_px })
+        }
     }
 }
 

@@ -103,7 +103,8 @@ fn complete_exposures(capture: &mut Capture, warnings: &mut Vec<String>) -> Resu
     for photo in capture.images.iter_mut().filter(|p| p.linear && p.exposure.is_none()) {
         photo.exposure = unit;
         if photo.role == Role::Probe {
-            warnings.push(format!("{} states no exposure: it is taken to be in units of the plate", photo.file));
+            warnings
+                .push(format!("{} states no exposure: it is taken to be in units of the plate", photo.file));
         }
     }
     Ok(())
@@ -137,13 +138,25 @@ fn check_series(
     for other in rest {
         same_size(role, first, other)?;
         if other.camera != first.camera {
-            warnings.push(format!("{} and {} ({}) come from different cameras", first.file, other.file, name(role)));
+            warnings.push(format!(
+                "{} and {} ({}) come from different cameras",
+                first.file,
+                other.file,
+                name(role)
+            ));
         }
     }
     for (i, a) in series.iter().enumerate() {
-        let equal = |b: &&&Photo| a.exposure.is_some() && (b.exposure.map(|e| e.scale()) == a.exposure.map(|e| e.scale()));
+        let equal = |b: &&&Photo| {
+            a.exposure.is_some() && (b.exposure.map(|e| e.scale()) == a.exposure.map(|e| e.scale()))
+        };
         if let Some(b) = series[..i].iter().find(equal) {
-            warnings.push(format!("{} and {} ({}) have equal exposures: they are averaged", b.file, a.file, name(role)));
+            warnings.push(format!(
+                "{} and {} ({}) have equal exposures: they are averaged",
+                b.file,
+                a.file,
+                name(role)
+            ));
         }
     }
     let parts: [(&str, &str, fn(&Header) -> Option<f64>); 2] = [
@@ -154,7 +167,8 @@ fn check_series(
         let values = series.iter().filter_map(|p| headers.get(&p.file).and_then(get));
         let (low, high) = values.fold((f64::MAX, 0.0_f64), |(l, h), v| (l.min(v), h.max(v)));
         if high > low {
-            warnings.push(format!("{what} varies from {low} to {high} within `{}`: {consequence}", name(role)));
+            warnings
+                .push(format!("{what} varies from {low} to {high} within `{}`: {consequence}", name(role)));
         }
     }
     Ok(())

@@ -1,7 +1,7 @@
 //! Pixels of a photograph, turned upright.
 
-use super::header::{Header, supported};
 use super::Photograph;
+use super::header::{Header, supported};
 use crate::artefact::exr;
 use crate::error::{Error, FileContext, Result};
 use crate::image::{Code, Image, Radiance};
@@ -20,12 +20,16 @@ pub fn decode(path: &Path) -> Result<Photograph> {
     }
     let header = Header::read(path)?;
     let bytes = std::fs::read(path).at(DOING, path)?;
-    let reader =
-        ImageReader::new(std::io::Cursor::new(&bytes)).with_guessed_format().at(DOING, path)?;
+    let reader = ImageReader::new(std::io::Cursor::new(&bytes)).with_guessed_format().at(DOING, path)?;
     let format = supported(reader.format(), path)?;
     // The JPEG decoder fills what is missing with grey and says nothing.
     if format == ImageFormat::Jpeg && !jpeg_is_whole(&bytes) {
-        return Err(Error::file(DOING, path, "truncated JPEG: the end-of-image marker is missing", COPY_AGAIN));
+        return Err(Error::file(
+            DOING,
+            path,
+            "truncated JPEG: the end-of-image marker is missing",
+            COPY_AGAIN,
+        ));
     }
     let mut image = reader
         .decode()

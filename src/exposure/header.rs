@@ -47,7 +47,12 @@ impl Header {
             return exr_header(path);
         }
         let damaged = |e: image::ImageError| {
-            Error::file(DOING, path, format!("damaged or cut short ({e})"), "copy the file again from the camera")
+            Error::file(
+                DOING,
+                path,
+                format!("damaged or cut short ({e})"),
+                "copy the file again from the camera",
+            )
         };
         let reader = ImageReader::new(BufReader::new(file)).with_guessed_format().at(DOING, path)?;
         let format = supported(reader.format(), path)?;
@@ -129,7 +134,8 @@ pub(super) fn supported(format: Option<ImageFormat>, path: &Path) -> Result<Imag
 }
 
 fn exr_header(path: &Path) -> Result<Header> {
-    let damaged = |e: String| Error::file(DOING, path, format!("damaged or cut short ({e})"), "write it again");
+    let damaged =
+        |e: String| Error::file(DOING, path, format!("damaged or cut short ({e})"), "write it again");
     let meta = ::exr::meta::MetaData::read_from_file(path, false).map_err(|e| damaged(e.to_string()))?;
     let layer = meta.headers.first().ok_or_else(|| damaged("no layer".into()))?;
     let (width_px, height_px) = (layer.layer_size.width() as u32, layer.layer_size.height() as u32);

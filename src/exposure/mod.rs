@@ -93,7 +93,10 @@ impl Capture {
     /// The photograph to augment.
     pub fn plate(&self) -> Result<&Photo> {
         let plate = self.with_role(Role::Plate).next();
-        plate.ok_or_else(|| Error::Data { doing: "finding the plate".into(), problem: Box::new(Problem::NoPlate) })
+        plate.ok_or_else(|| Error::Data {
+            doing: "finding the plate".into(),
+            problem: Box::new(Problem::NoPlate),
+        })
     }
 
     /// Exposure of the plate, the unit of all radiance; 1 where no photograph of the capture states any.

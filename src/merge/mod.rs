@@ -74,7 +74,12 @@ pub fn linearise(
 
 /// By how much each frame disagrees with the merged picture, stops: median of |log2 (frame / merged)| over the pixels
 /// that are well exposed in it; 0 where there are none. Noise, wrong exposures, motion all show.
-pub fn disagreement_stops(frames: &[Frame], merged: &Merged, response: &Response, plate_exposure: f64) -> Vec<f64> {
+pub fn disagreement_stops(
+    frames: &[Frame],
+    merged: &Merged,
+    response: &Response,
+    plate_exposure: f64,
+) -> Vec<f64> {
     let of_frame = |frame: &Frame| {
         let unit = (plate_exposure / frame.exposure) as f32;
         let ratio = |(codes, radiance): (&Code, &Radiance)| {

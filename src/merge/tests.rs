@@ -18,7 +18,8 @@ fn shoot(radiance: &[f64], exposure: f64, seed: Option<u64>) -> CodeImage {
 fn merged(radiance: &[f64], exposures: &[f64], noisy: bool) -> Merged {
     let images: Vec<_> =
         exposures.iter().zip(0..).map(|(e, seed)| shoot(radiance, *e, noisy.then_some(seed))).collect();
-    let frames: Vec<_> = images.iter().zip(exposures).map(|(codes, e)| Frame { codes, exposure: *e }).collect();
+    let frames: Vec<_> =
+        images.iter().zip(exposures).map(|(codes, e)| Frame { codes, exposure: *e }).collect();
     merge(&frames, &Response::srgb(), 1.0, &config::Merge::default()).unwrap()
 }
 
@@ -53,7 +54,10 @@ fn saturated_everywhere_is_a_flagged_lower_bound() {
 fn black_everywhere_stays_near_black_with_its_error() {
     let merged = merged(&[1e-9], &EXPOSURES, false);
     let (radiance, variance) = (merged.radiance.pixels()[0].0[1], merged.variance.pixels()[0][1]);
-    assert!(!merged.clipped.pixels()[0] && radiance < 1e-4 && variance.sqrt() > radiance, "{radiance} {variance}");
+    assert!(
+        !merged.clipped.pixels()[0] && radiance < 1e-4 && variance.sqrt() > radiance,
+        "{radiance} {variance}"
+    );
 }
 
 #[test]
@@ -75,7 +79,12 @@ fn a_wrong_exposure_shows_as_disagreement() {
         let merged = merge(&frames, &response, 1.0, &config::Merge::default()).unwrap();
         disagreement_stops(&frames, &merged, &response, 1.0).into_iter().fold(0.0, f64::max)
     };
-    assert!(disagreement(1.0) < 0.02 && disagreement(2.0) > 0.3, "{} {}", disagreement(1.0), disagreement(2.0));
+    assert!(
+        disagreement(1.0) < 0.02 && disagreement(2.0) > 0.3,
+        "{} {}",
+        disagreement(1.0),
+        disagreement(2.0)
+    );
 }
 
 #[test]

@@ -88,7 +88,11 @@ pub fn fit(primitives: &[Primitive], views: &Views, settings: &config::Model) ->
         for k in extents.clone() {
             if values[i][k] < MIN_EXTENT_M {
                 let (name, value) = (node.primitive.name.clone(), values[i][k]);
-                return Err(Problem::Size { name, what: ["width", "height", "depth"][k - extents.start], value });
+                return Err(Problem::Size {
+                    name,
+                    what: ["width", "height", "depth"][k - extents.start],
+                    value,
+                });
             }
         }
         let rows = 2 * node.sights.len();
@@ -236,7 +240,11 @@ fn sights<'a>(primitive: &Primitive, views: &Views<'a>) -> Result<Vec<Sight<'a>>
         }
         let pixel = Point2::from(mark.at);
         let camera = views.cameras.get(&image);
-        let camera = camera.ok_or_else(|| Problem::Image { name: name.clone(), corner: corner.clone(), image: image.clone() })?;
+        let camera = camera.ok_or_else(|| Problem::Image {
+            name: name.clone(),
+            corner: corner.clone(),
+            image: image.clone(),
+        })?;
         if mark.reflection {
             let sight = views.ball.and_then(|ball| Sight::reflected(camera, &ball, pixel));
             return sight.ok_or(Problem::NoReflection { name, corner, image, at: mark.at });

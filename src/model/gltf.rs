@@ -24,13 +24,16 @@ pub fn write(path: &Path, scene: &Scene, camera: &Camera) -> Result<()> {
             let n = f.normal();
             std::iter::repeat_n([n.x as f32, n.y as f32, n.z as f32], f.vertices.len())
         });
-        let (low, high) = soup.vertices.iter().fold((soup.vertices[0], soup.vertices[0]), |(low, high), v| {
-            (low.min(*v), high.max(*v))
-        });
+        let (low, high) = soup
+            .vertices
+            .iter()
+            .fold((soup.vertices[0], soup.vertices[0]), |(low, high), v| (low.min(*v), high.max(*v)));
         let first = accessors.len();
         let mut add = |bytes: Vec<u8>, target: u32, mut accessor: Value| {
             accessor["bufferView"] = views.len().into();
-            views.push(json!({"buffer": 0, "byteOffset": binary.len(), "byteLength": bytes.len(), "target": target}));
+            views.push(
+                json!({"buffer": 0, "byteOffset": binary.len(), "byteLength": bytes.len(), "target": target}),
+            );
             accessors.push(accessor);
             binary.extend(bytes);
         };

@@ -77,7 +77,9 @@ pub enum Problem {
         image: String,
     },
     /// A reflection marked beside the ball.
-    #[error("corner `{corner}` of `{name}` is marked as a reflection at {at:?} in {image}, where there is no ball")]
+    #[error(
+        "corner `{corner}` of `{name}` is marked as a reflection at {at:?} in {image}, where there is no ball"
+    )]
     NoReflection {
         /// The primitive.
         name: String,

@@ -104,7 +104,12 @@ fn vertical(yaw: f64) -> Rotation3<f64> {
 }
 
 /// Puts a primitive in its place. Without a parent it stands on the horizontal plane at `ground`, m.
-pub fn place(primitive: &Primitive, values: &[f64], parent: Option<&Placed>, ground: f64) -> Result<Placed, Problem> {
+pub fn place(
+    primitive: &Primitive,
+    values: &[f64],
+    parent: Option<&Placed>,
+    ground: f64,
+) -> Result<Placed, Problem> {
     let refuse = || Problem::Attach { name: primitive.name.clone(), attach: primitive.attach.clone() };
     let (origin, yaw) = match parent {
         None => (Point3::new(0.0, ground, 0.0), 0.0),
@@ -210,7 +215,8 @@ pub fn faces(primitive: &Primitive, placed: &Placed, values: &[f64]) -> Result<V
         let corners = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]];
         Face { name, vertices: corners.map(|[u, v]| plane.at(u * w / 2.0, v * h / 2.0)).to_vec() }
     };
-    let forward = |plane: &Plane| Plane { origin: plane.origin + plane.u.cross(&plane.v) * IN_FRONT_M, ..*plane };
+    let forward =
+        |plane: &Plane| Plane { origin: plane.origin + plane.u.cross(&plane.v) * IN_FRONT_M, ..*plane };
     Ok(match (primitive.kind, placed) {
         (kind, Placed::Solid { size: [w, h, d], .. }) => {
             let all: &[&str] = match kind {
@@ -239,7 +245,8 @@ pub fn faces(primitive: &Primitive, placed: &Placed, values: &[f64]) -> Result<V
         }
         (_, Placed::Flat(plane)) => {
             let corners: Vec<[f64; 2]> = values.chunks(2).map(|p| [p[0], p[1]]).collect();
-            let corners = convex(corners).ok_or_else(|| Problem::NotConvex { name: primitive.name.clone() })?;
+            let corners =
+                convex(corners).ok_or_else(|| Problem::NotConvex { name: primitive.name.clone() })?;
             let plane = forward(plane);
             let vertices = corners.iter().map(|[u, v]| plane.at(*u, *v)).collect();
             vec![Face { name: primitive.name.clone(), vertices }]

@@ -60,12 +60,22 @@ fn in_room(x: f64, y: f64, z: f64) -> Point3<f64> {
 fn mark(corner: &str, point: Point3<f64>, noise: [f64; 2]) -> Mark {
     let camera = &cameras()["plate.jpg"];
     let p = camera.project(&point).unwrap();
-    Mark { corner: corner.into(), image: "plate.jpg".into(), at: [p.x + noise[0], p.y + noise[1]], reflection: false }
+    Mark {
+        corner: corner.into(),
+        image: "plate.jpg".into(),
+        at: [p.x + noise[0], p.y + noise[1]],
+        reflection: false,
+    }
 }
 
 fn reflected(corner: &str, point: Point3<f64>, noise: [f64; 2]) -> Mark {
     let p = reflection(&cameras()["probe.jpg"], &ball(), &point);
-    Mark { corner: corner.into(), image: "probe.jpg".into(), at: [p.x + noise[0], p.y + noise[1]], reflection: true }
+    Mark {
+        corner: corner.into(),
+        image: "probe.jpg".into(),
+        at: [p.x + noise[0], p.y + noise[1]],
+        reflection: true,
+    }
 }
 
 fn primitives(text: &str) -> Vec<Primitive> {
@@ -116,12 +126,22 @@ fn marked(noise: &dyn Fn(usize) -> [f64; 2]) -> Vec<Primitive> {
         noise(n)
     };
     // The plate sees the back wall's ends, the ball what is behind the camera.
-    all[0].marks = vec![mark("---", room("---"), next()), mark("+--", room("+--"), next()), mark("-+-", room("-+-"), next())];
+    all[0].marks = vec![
+        mark("---", room("---"), next()),
+        mark("+--", room("+--"), next()),
+        mark("-+-", room("-+-"), next()),
+    ];
     for s in ["--+", "+-+", "-++", "+++", "++-"] {
         all[0].marks.push(reflected(s, room(s), next()));
     }
     let desk = |x: f64, y: f64, z: f64| in_room(1.0 + 0.7 * x, 0.72 * y, -1.2 + 0.4 * z);
-    for (s, x, y, z) in [("--+", -1., 0., 1.), ("+-+", 1., 0., 1.), ("-++", -1., 1., 1.), ("+++", 1., 1., 1.), ("-+-", -1., 1., -1.)] {
+    for (s, x, y, z) in [
+        ("--+", -1., 0., 1.),
+        ("+-+", 1., 0., 1.),
+        ("-++", -1., 1., 1.),
+        ("+++", 1., 1., 1.),
+        ("-+-", -1., 1., -1.),
+    ] {
         all[1].marks.push(mark(s, desk(x, y, z), next()));
     }
     let turn = Rotation3::from_axis_angle(&Vector3::y_axis(), 0.4);
@@ -129,7 +149,13 @@ fn marked(noise: &dyn Fn(usize) -> [f64; 2]) -> Vec<Primitive> {
         let p = turn * Vector3::new(0.25 * x, 0.4 * y, 0.1 * z);
         in_room(0.9 + p.x, 0.72 + p.y, -1.25 + p.z)
     };
-    for (s, x, y, z) in [("--+", -1., 0., 1.), ("+-+", 1., 0., 1.), ("-++", -1., 1., 1.), ("+++", 1., 1., 1.), ("-+-", -1., 1., -1.)] {
+    for (s, x, y, z) in [
+        ("--+", -1., 0., 1.),
+        ("+-+", 1., 0., 1.),
+        ("-++", -1., 1., 1.),
+        ("+++", 1., 1., 1.),
+        ("-+-", -1., 1., -1.),
+    ] {
         all[2].marks.push(mark(s, monitor(x, y, z), next()));
     }
     // On the wall at +z: seen from inside, its right is the room's −x.
@@ -172,9 +198,12 @@ fn a_pixel_of_noise_costs_centimetres_and_sigma_says_so() {
 #[test]
 fn faces_show_their_fronts() {
     let scene = fitted(&marked(&|_| [0.0, 0.0])).unwrap();
-    let middle = |f: &Face| f.vertices.iter().map(|v| v.coords).sum::<Vector3<f64>>() / f.vertices.len() as f64;
+    let middle =
+        |f: &Face| f.vertices.iter().map(|v| v.coords).sum::<Vector3<f64>>() / f.vertices.len() as f64;
     let centre = in_room(0.0, 1.3, 0.0).coords;
-    for f in scene.faces.iter().filter(|f| f.name.starts_with("room.") || f.name == "window" || f.name == "rug") {
+    for f in
+        scene.faces.iter().filter(|f| f.name.starts_with("room.") || f.name == "window" || f.name == "rug")
+    {
         assert!((centre - middle(f)).dot(&f.normal()) > 0.0, "{} looks into the room", f.name);
     }
     let desk = in_room(1.0, 0.36, -1.2).coords;
@@ -191,7 +220,7 @@ fn faces_show_their_fronts() {
 #[test]
 fn the_unconstrained_parameter_is_named() {
     let mut all = marked(&|_| [0.0, 0.0]);
-    all[1].marks.retain(|m| &m.corner[1..2] == "-" );
+    all[1].marks.retain(|m| &m.corner[1..2] == "-");
     all.truncate(2);
     let e = fitted(&all).unwrap_err();
     assert!(e.to_string().contains("height of `desk`") || e.to_string().contains("depth of `desk`"), "{e}");
@@ -202,7 +231,8 @@ fn the_contradicting_mark_is_named() {
     let mut all = marked(&|_| [0.0, 0.0]);
     all[1].marks[3].at[0] += 90.0;
     let e = fitted(&all).unwrap_err();
-    let named = matches!(&e, Problem::Contradiction { name, corner, .. } if name == "desk" && corner == "+++");
+    let named =
+        matches!(&e, Problem::Contradiction { name, corner, .. } if name == "desk" && corner == "+++");
     assert!(named, "{e}");
     assert!(e.hint().contains("this mark"));
 }
@@ -264,7 +294,8 @@ fn a_zero_size_primitive_is_refused() {
 
 #[test]
 fn a_ground_alone_is_a_scene() {
-    let scene = fitted(&primitives("[[primitive]]\nname = \"ground\"\nkind = \"ground\"\nextent_m = 3.0\n")).unwrap();
+    let scene =
+        fitted(&primitives("[[primitive]]\nname = \"ground\"\nkind = \"ground\"\nextent_m = 3.0\n")).unwrap();
     assert_eq!(scene.faces.len(), 1);
     assert!((scene.faces[0].area() - 36.0).abs() < 1e-9 && scene.faces[0].normal().y > 0.999);
     assert!(scene.faces[0].vertices.iter().all(|v| v.y == GROUND));

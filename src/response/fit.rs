@@ -88,7 +88,12 @@ impl ChannelFit {
         }
         let mut observations = observe(&readings, &chosen, &exposures);
         let typical = typical_curve(&readings);
-        let solver = Solver { typical: &typical, pinned: readings.clip as usize, smoothness: settings.smoothness, floor: readings.floor };
+        let solver = Solver {
+            typical: &typical,
+            pinned: readings.clip as usize,
+            smoothness: settings.smoothness,
+            floor: readings.floor,
+        };
         let (mut g, mut solution) = solver.solve(&observations, &typical);
         for _ in 0..ROUNDS {
             distrust_outliers(&mut observations, &g, chosen.len());
@@ -99,7 +104,8 @@ impl ChannelFit {
         let square: f64 = observations.iter().zip(&residuals).map(|(o, r)| o.weight * o.trust * r * r).sum();
         let freedom = (observations.len() as f64 - chosen.len() as f64).max(1.0) / observations.len() as f64;
         let variance = square / total / freedom;
-        let standard_error = solution.standard_errors(variance, total / observations.len() as f64, solver.pinned);
+        let standard_error =
+            solution.standard_errors(variance, total / observations.len() as f64, solver.pinned);
         monotone::project(&mut g, &standard_error.iter().map(|s| 1.0 / (s * s + 1e-8)).collect::<Vec<_>>());
         let zero = g[solver.pinned];
         let curve = Curve {
@@ -320,7 +326,10 @@ fn residuals(observations: &[Observation], g: &[f64], places: usize) -> Vec<f64>
         sums[o.place].0 += weight * (o.g(g) - o.ln_exposure);
         sums[o.place].1 += weight;
     }
-    observations.iter().map(|o| o.g(g) - o.ln_exposure - sums[o.place].0 / sums[o.place].1.max(1e-300)).collect()
+    observations
+        .iter()
+        .map(|o| o.g(g) - o.ln_exposure - sums[o.place].0 / sums[o.place].1.max(1e-300))
+        .collect()
 }
 
 /// Tukey-like weights: an observation three times further off than usual counts half.
@@ -345,6 +354,7 @@ fn plain_rms(observations: &[Observation], residuals: &[f64]) -> f64 {
 
 /// Median residual of each frame, stops; 0 for a frame that has hardly any observation.
 fn frame_medians(observations: &[Observation], residuals: &[f64], frames: usize) -> Vec<f64> {
-    let of = |frame| observations.iter().zip(residuals).filter(move |(o, _)| o.frame == frame).map(|(_, r)| *r);
+    let of =
+        |frame| observations.iter().zip(residuals).filter(move |(o, _)| o.frame == frame).map(|(_, r)| *r);
     (0..frames).map(|f| if of(f).count() < 10 { 0.0 } else { median(of(f)).unwrap_or(0.0) / LN_2 }).collect()
 }

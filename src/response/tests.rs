@@ -57,7 +57,8 @@ fn brackets_give_the_curve_and_its_scale() {
 #[test]
 fn the_count_of_samples_hardly_matters() {
     let images: Vec<_> = STEPS.iter().zip(0..).map(|(e, seed)| photograph(*e, 1.0, seed, camera)).collect();
-    let frames: Vec<_> = images.iter().zip(STEPS).map(|(codes, exposure)| Frame { codes, exposure }).collect();
+    let frames: Vec<_> =
+        images.iter().zip(STEPS).map(|(codes, exposure)| Frame { codes, exposure }).collect();
     let with = |samples| fit(&frames, &config::Response { samples, ..Default::default() }).unwrap();
     let (few, many) = (with(200), with(3000));
     for z in (20..255).step_by(5) {
@@ -85,9 +86,8 @@ fn an_exposure_one_stop_off_shows() {
     let mut said = STEPS;
     said[3] *= 2.0;
     let quality = fit_exposures(&STEPS, &said, 1.0).unwrap().quality.unwrap();
-    let worst = (0..STEPS.len()).max_by(|a, b| {
-        quality.frame_stops[*a].abs().total_cmp(&quality.frame_stops[*b].abs())
-    });
+    let worst = (0..STEPS.len())
+        .max_by(|a, b| quality.frame_stops[*a].abs().total_cmp(&quality.frame_stops[*b].abs()));
     assert!(quality.rms_stops[1] > 0.15, "{quality:?}");
     assert!(worst.is_some_and(|w| quality.frame_stops[w].abs() > 0.15), "{quality:?}");
 }
@@ -129,7 +129,8 @@ fn a_curve_that_falls_is_made_to_rise() {
     // Local tone mapping makes codes fall where light rises.
     let dented = |x: f64| camera(x) - 0.25 * (-((camera(x) - 0.6) / 0.06).powi(2)).exp();
     let images: Vec<_> = STEPS.iter().zip(0..).map(|(e, seed)| photograph(*e, 1.0, seed, dented)).collect();
-    let frames: Vec<_> = images.iter().zip(STEPS).map(|(codes, exposure)| Frame { codes, exposure }).collect();
+    let frames: Vec<_> =
+        images.iter().zip(STEPS).map(|(codes, exposure)| Frame { codes, exposure }).collect();
     let response = fit(&frames, &config::Response::default()).unwrap();
     response.check().unwrap();
     assert!(response.quality.unwrap().rms_stops[1] > 0.05);
@@ -139,7 +140,8 @@ fn a_curve_that_falls_is_made_to_rise() {
 fn a_black_level_is_found_and_left_out() {
     let lifted = |x: f64| 16.0 / 255.0 + camera(x) * 239.0 / 255.0;
     let images: Vec<_> = STEPS.iter().zip(0..).map(|(e, seed)| photograph(*e, 1.0, seed, lifted)).collect();
-    let frames: Vec<_> = images.iter().zip(STEPS).map(|(codes, exposure)| Frame { codes, exposure }).collect();
+    let frames: Vec<_> =
+        images.iter().zip(STEPS).map(|(codes, exposure)| Frame { codes, exposure }).collect();
     let response = fit(&frames, &config::Response::default()).unwrap();
     for curve in &response.curves {
         assert!((curve.floor * 255.0 - 16.0).abs() < 2.0, "{}", curve.floor * 255.0);
@@ -152,7 +154,8 @@ fn a_black_level_is_found_and_left_out() {
 fn saturation_below_the_largest_code_is_found() {
     let low = |x: f64| camera(x) * 240.0 / 255.0;
     let images: Vec<_> = STEPS.iter().zip(0..).map(|(e, seed)| photograph(*e, 1.0, seed, low)).collect();
-    let frames: Vec<_> = images.iter().zip(STEPS).map(|(codes, exposure)| Frame { codes, exposure }).collect();
+    let frames: Vec<_> =
+        images.iter().zip(STEPS).map(|(codes, exposure)| Frame { codes, exposure }).collect();
     let response = fit(&frames, &config::Response::default()).unwrap();
     for curve in &response.curves {
         assert_eq!((curve.clip * 255.0).round(), 240.0);
@@ -163,7 +166,10 @@ fn saturation_below_the_largest_code_is_found() {
 
 #[test]
 fn unequal_sizes_and_impossible_exposures_are_refused() {
-    let (a, b) = (CodeImage::from_fn(20, 20, |_, _| Code::default()), CodeImage::from_fn(21, 20, |_, _| Code::default()));
+    let (a, b) = (
+        CodeImage::from_fn(20, 20, |_, _| Code::default()),
+        CodeImage::from_fn(21, 20, |_, _| Code::default()),
+    );
     let frame = |codes, exposure| Frame { codes, exposure };
     let e = fit(&[frame(&a, 1.0), frame(&b, 2.0)], &config::Response::default()).unwrap_err();
     assert_eq!(e.to_string(), "frame 2 is 21×20 px, the first 20×20 px");

@@ -40,7 +40,8 @@ fn no_plate_is_refused() {
 
 #[test]
 fn a_missing_time_is_named_with_what_to_write() {
-    let files = [plate(), (Role::Brackets, "a.jpg", header(Some(0.1))), (Role::Brackets, "b.jpg", header(None))];
+    let files =
+        [plate(), (Role::Brackets, "a.jpg", header(Some(0.1))), (Role::Brackets, "b.jpg", header(None))];
     let e = put(&files, &Default::default()).unwrap_err();
     assert_eq!(e.to_string(), "b.jpg (`brackets`) has no exposure time");
     assert!(e.hint().contains("[[ingest.exposure]] file = \"b.jpg\" time_s ="), "{}", e.hint());
@@ -88,7 +89,10 @@ fn equal_exposures_and_a_varying_aperture_are_warned_of() {
     ];
     let (_, warnings) = put(&files, &Default::default()).unwrap();
     // f/4 at a quarter of the time is the same exposure, too.
-    assert!(warnings.iter().any(|w| w.starts_with("a.jpg and b.jpg (brackets) have equal exposures")), "{warnings:?}");
+    assert!(
+        warnings.iter().any(|w| w.starts_with("a.jpg and b.jpg (brackets) have equal exposures")),
+        "{warnings:?}"
+    );
     assert!(warnings.iter().any(|w| w.starts_with("a.jpg and c.jpg")), "{warnings:?}");
     assert!(warnings.iter().any(|w| w.starts_with("aperture varies from 4 to 8")), "{warnings:?}");
 }
@@ -121,7 +125,11 @@ fn a_linear_probe_is_in_units_of_the_plate() {
 
 #[test]
 fn every_role_named_twice_for_one_file_stands_twice() {
-    let files = [plate(), (Role::Brackets, "p.jpg", header(Some(0.01))), (Role::Brackets, "q.jpg", header(Some(0.1)))];
+    let files = [
+        plate(),
+        (Role::Brackets, "p.jpg", header(Some(0.01))),
+        (Role::Brackets, "q.jpg", header(Some(0.1))),
+    ];
     let (capture, _) = put(&files, &Default::default()).unwrap();
     assert_eq!(capture.images.iter().filter(|p| p.file == "p.jpg").count(), 2);
 }
