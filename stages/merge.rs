@@ -4,7 +4,7 @@ use insitu::artefact::{exr, json};
 use insitu::config::Role;
 use insitu::error::{Context as _, Result};
 use insitu::exposure::{self, Capture, Frame, Photo, Photograph};
-use insitu::image::{Image, RadianceImage};
+use insitu::image::RadianceImage;
 use insitu::merge::{self, Merged};
 use insitu::response::Response;
 use insitu::stage::Context;
@@ -36,7 +36,7 @@ fn main() -> std::process::ExitCode {
                 "{percent:.1} % of the plate is clipped in every exposure: light there is too low"
             ));
         }
-        write(ctx, &merged)
+        exr::write(&ctx.output("plate.exr"), &merged.planes(), exr::Kind::Picture)
     })
 }
 
@@ -64,8 +64,7 @@ fn untouched(ctx: &Context, image: RadianceImage) -> Merged {
     if negative > 0 {
         ctx.warn(format!("{negative} pixels of the plate are below 0: they are taken as 0"));
     }
-    let radiance = image.map(|p| insitu::image::Radiance(p.0.map(|v| v.max(0.0))));
-    Merged { variance: radiance.map(|_| [0.0; 3]), clipped: radiance.map(|_| false), radiance }
+    Merged::from_linear(&image)
 }
 
 fn from_frames(ctx: &Context, capture: &Capture, photos: Vec<&Photo>, response: &Response) -> Result<Merged> {
@@ -90,14 +89,4 @@ fn from_frames(ctx: &Context, capture: &Capture, photos: Vec<&Photo>, response: 
     }
     ctx.figure("frame_residual_stops", stops);
     Ok(merged)
-}
-
-fn write(ctx: &Context, merged: &Merged) -> Result<()> {
-    let plane = |image: &Image<[f32; 3]>, k: usize| image.pixels().iter().map(|p| p[k]).collect::<Vec<_>>();
-    let clipped = merged.clipped.pixels().iter().map(|c| if *c { 1.0 } else { 0.0 }).collect();
-    let mut planes = exr::Planes::from_radiance(&merged.radiance).with("clipped", clipped);
-    for (k, name) in ["VR", "VG", "VB"].iter().enumerate() {
-        planes = planes.with(name, plane(&merged.variance, k));
-    }
-    exr::write(&ctx.output("plate.exr"), &planes, exr::Kind::Picture)
 }

@@ -3,22 +3,31 @@
 use insitu::artefact::json;
 use insitu::config::Role;
 use insitu::error::{Context as _, Result};
-use insitu::exposure::{self, Capture, Frame, Photo};
-use insitu::response::{self, Response};
+use insitu::exposure::{self, Capture, Frame, Photo, role_name};
+use insitu::response::{self, Quality, Response};
 use insitu::stage::Context;
 
 /// A fit whose residuals are larger than this, stops, has something wrong with its exposures.
 const SUSPICIOUS_STOPS: f64 = 0.15;
+/// A middle grey less certain than this against saturation, stops, makes the colours uncertain.
+const DOUBTFUL_STOPS: f64 = 0.1;
 
 fn main() -> std::process::ExitCode {
     insitu::cli::stage_main("response", |ctx| {
         let capture: Capture = json::read(&ctx.artefact("ingest", "capture.json")?)?;
         let photos = series(ctx, &capture);
-        let response = if photos.is_empty() {
-            ctx.warn("no role holds two exposures of one view: the sRGB curve is assumed, radiances are not measured");
-            Response::srgb()
-        } else {
-            fit(ctx, &capture, &photos)?
+        let response = match (photos.is_empty(), capture.plate()?.linear) {
+            (false, _) => fit(ctx, &capture, &photos)?,
+            (true, true) => {
+                ctx.warn("the plate is linear: pictures of it are stored by the sRGB curve");
+                Response::srgb()
+            }
+            (true, false) => {
+                ctx.warn(
+                    "no role holds two exposures of one view: the sRGB curve is assumed, radiance is a guess",
+                );
+                Response::srgb()
+            }
         };
         json::write(&ctx.output("response.json"), &response)
     })
@@ -31,8 +40,9 @@ fn series<'a>(ctx: &Context, capture: &'a Capture) -> Vec<&'a Photo> {
         let photos: Vec<_> = capture.with_role(role).filter(|p| !p.linear).collect();
         if photos.len() > 1 {
             if role != chosen {
+                let (chosen, role) = (role_name(chosen), role_name(role));
                 ctx.warn(format!(
-                    "role {chosen:?} has no exposures: the response is fitted to role {role:?}"
+                    "role `{chosen}` has no exposures: the response is fitted to role `{role}`"
                 ));
             }
             return photos;
@@ -62,6 +72,11 @@ fn fit(ctx: &Context, capture: &Capture, photos: &[&Photo]) -> Result<Response> 
         "middle_standard_error_stops",
         response.curves.each_ref().map(|c| c.standard_error_stops(0.5)),
     );
+    warn_of_doubts(ctx, photos, &response, quality);
+    Ok(response)
+}
+
+fn warn_of_doubts(ctx: &Context, photos: &[&Photo], response: &Response, quality: &Quality) {
     for (photo, stops) in photos.iter().zip(&quality.frame_stops).filter(|(_, s)| s.abs() > SUSPICIOUS_STOPS)
     {
         ctx.warn(format!("{} is {stops:+.2} stops off the fitted response: check its exposure", photo.file));
@@ -73,5 +88,11 @@ fn fit(ctx: &Context, capture: &Capture, photos: &[&Photo]) -> Result<Response> 
              and that neither camera nor light moved"
         ));
     }
-    Ok(response)
+    let error = response.curves.iter().map(|c| c.standard_error_stops(0.5)).fold(0.0, f64::max);
+    if error > DOUBTFUL_STOPS {
+        ctx.warn(format!(
+            "saturation is known to {error:.2} stops only, and colour with it: add an exposure with bright tones \
+             just below clipping"
+        ));
+    }
 }

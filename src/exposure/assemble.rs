@@ -1,6 +1,6 @@
 //! From headers, roles and settings to a capture, with every check that needs no pixels.
 
-use super::problem::{Problem, name};
+use super::problem::{Problem, role_name};
 use super::roles::{Assignment, matching};
 use super::{Capture, Exposure, Header, Photo};
 use crate::config::{self, Role};
@@ -66,7 +66,7 @@ fn with_overrides(
 fn exposure(file: &str, header: &Header) -> Result<Option<Exposure>, Problem> {
     let Some(time_s) = header.time_s else { return Ok(None) };
     let (f_number, iso) = (header.f_number.unwrap_or(1.0), header.iso.unwrap_or(100.0));
-    let parts = [("an exposure time of (s)", time_s), ("an f-number of", f_number), ("an ISO speed of", iso)];
+    let parts = [("an exposure time (s) of", time_s), ("an f-number of", f_number), ("an ISO speed of", iso)];
     for (what, value) in parts {
         if !(value.is_finite() && value > 0.0) {
             return Err(Problem::BadExposure { file: file.into(), what, value });
@@ -115,17 +115,19 @@ fn comparable(capture: &Capture, headers: &BTreeMap<String, Header>) -> Result<(
     let lit = |p: &&Photo| matches!(p.role, Role::Plate | Role::Brackets | Role::Probe);
     let timed = |p: &Photo| Some((headers.get(&p.file).filter(|h| h.time_s.is_some())?, p.file.clone()));
     let known: Vec<(&Header, String)> = capture.images.iter().filter(lit).filter_map(timed).collect();
-    let parts: [(&'static str, fn(&Header) -> bool); 2] =
-        [("an f-number", |h| h.f_number.is_some()), ("an ISO speed", |h| h.iso.is_some())];
+    let parts: [(_, Number); 2] = [("an f-number", |h| h.f_number), ("an ISO speed", |h| h.iso)];
     for (what, has) in parts {
-        let with = known.iter().find(|(h, _)| has(h));
-        let without = known.iter().find(|(h, _)| !has(h));
+        let with = known.iter().find(|(h, _)| has(h).is_some());
+        let without = known.iter().find(|(h, _)| has(h).is_none());
         if let (Some((_, with)), Some((_, without))) = (with, without) {
             return Err(Problem::Mixed { what, with: with.clone(), without: without.clone() });
         }
     }
     Ok(())
 }
+
+/// A quantity of a header.
+type Number = fn(&Header) -> Option<f64>;
 
 fn check_series(
     capture: &Capture,
@@ -142,7 +144,7 @@ fn check_series(
                 "{} and {} ({}) come from different cameras",
                 first.file,
                 other.file,
-                name(role)
+                role_name(role)
             ));
         }
     }
@@ -155,11 +157,11 @@ fn check_series(
                 "{} and {} ({}) have equal exposures: they are averaged",
                 b.file,
                 a.file,
-                name(role)
+                role_name(role)
             ));
         }
     }
-    let parts: [(&str, &str, fn(&Header) -> Option<f64>); 2] = [
+    let parts: [(_, _, Number); 2] = [
         ("aperture", "vignetting and depth of field change with it", |h| h.f_number),
         ("ISO speed", "noise changes with it", |h| h.iso),
     ];
@@ -167,8 +169,10 @@ fn check_series(
         let values = series.iter().filter_map(|p| headers.get(&p.file).and_then(get));
         let (low, high) = values.fold((f64::MAX, 0.0_f64), |(l, h), v| (l.min(v), h.max(v)));
         if high > low {
-            warnings
-                .push(format!("{what} varies from {low} to {high} within `{}`: {consequence}", name(role)));
+            warnings.push(format!(
+                "{what} varies from {low} to {high} within `{}`: {consequence}",
+                role_name(role)
+            ));
         }
     }
     Ok(())

@@ -86,3 +86,6 @@ fn jpeg_is_whole(bytes: &[u8]) -> bool {
     }
     false
 }
+
+#[cfg(test)]
+mod tests;

@@ -12,7 +12,7 @@ mod roles;
 pub use assemble::assemble;
 pub use decode::decode;
 pub use header::{Header, header_digest};
-pub use problem::Problem;
+pub use problem::{Problem, role_name};
 pub use roles::{Assignment, assign, derive, list, listing_digest};
 
 use crate::artefact::json::JsonArtefact;

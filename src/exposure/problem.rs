@@ -21,7 +21,7 @@ pub enum Problem {
         nearest: Option<String>,
     },
     /// One file has two uses that exclude each other.
-    #[error("{file} has the roles `{}` and `{}`", name(*.first), name(*.second))]
+    #[error("{file} has the roles `{}` and `{}`", role_name(*.first), role_name(*.second))]
     TwoRoles {
         /// The file.
         file: String,
@@ -33,7 +33,7 @@ pub enum Problem {
     /// Exposures of one view differ in size.
     #[error(
         "{other} is {}×{} px, {file} is {}×{} px; they must be of one size for role `{}`",
-        other_size.0, other_size.1, size.0, size.1, name(*.role)
+        other_size.0, other_size.1, size.0, size.1, role_name(*.role)
     )]
     SizesDiffer {
         /// Their role.
@@ -48,7 +48,7 @@ pub enum Problem {
         other_size: (u32, u32),
     },
     /// An exposure that is needed is not known.
-    #[error("{file} (`{}`) has no exposure time", name(*.role))]
+    #[error("{file} (`{}`) has no exposure time", role_name(*.role))]
     NoExposure {
         /// The file.
         file: String,
@@ -78,7 +78,7 @@ pub enum Problem {
 }
 
 /// A role as it is written in the settings.
-pub(super) fn name(role: Role) -> String {
+pub fn role_name(role: Role) -> String {
     serde_json::to_value(role).ok().and_then(|v| v.as_str().map(String::from)).unwrap_or_default()
 }
 
@@ -93,11 +93,12 @@ impl crate::error::Problem for Problem {
             }
             Self::SizesDiffer { .. } => "use photographs of one size, neither cropped nor scaled".into(),
             Self::NoExposure { file, .. } | Self::BadExposure { file, .. } => format!(
-                "state it in pipeline.toml: [[ingest.exposure]] file = \"{file}\" time_s = 0.01 (and f_number, iso if they vary)"
+                "state it under [ingest] in pipeline.toml: exposure = [{{ file = \"{file}\", time_s = 0.01 }}], and f_number and iso \
+                 if they vary"
             ),
             Self::Mixed { what, without, .. } => {
                 let key = if *what == "an ISO speed" { "iso" } else { "f_number" };
-                format!("state it in pipeline.toml: [[ingest.exposure]] file = \"{without}\" {key} = …")
+                format!("state it under [ingest] in pipeline.toml: exposure = [{{ file = \"{without}\", {key} = … }}]")
             }
         }
     }

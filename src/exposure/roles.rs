@@ -1,6 +1,6 @@
 //! Which file is for what: names in the photo folder against the patterns of `[ingest.roles]`.
 
-use super::problem::{Problem, name};
+use super::problem::{Problem, role_name};
 use crate::config::Role;
 use crate::error::{Error, FileContext, Result};
 use std::collections::BTreeMap;
@@ -50,7 +50,7 @@ pub fn assign(names: &[String], patterns: &BTreeMap<Role, Vec<String>>) -> Resul
     for (&role, patterns) in patterns {
         let mut files: Vec<String> = Vec::new();
         for pattern in patterns {
-            let place = format!("ingest.roles.{}", name(role));
+            let place = format!("ingest.roles.{}", role_name(role));
             // The order of patterns is the user's: the first plate is the one that is augmented.
             for file in matching(pattern, names, &place)? {
                 if !files.contains(&file) {

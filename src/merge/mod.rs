@@ -13,6 +13,7 @@ pub use crate::exposure::Frame;
 pub use noise::Noise;
 pub use problem::Problem;
 
+use crate::artefact::exr::Planes;
 use crate::config;
 use crate::image::{Code, CodeImage, Image, Radiance, RadianceImage};
 use crate::response::Response;
@@ -41,26 +42,29 @@ pub fn merge(
     // Radiance at which each frame has relative exposure 1.
     let units: Vec<f32> = frames.iter().map(|f| (plate_exposure / f.exposure) as f32).collect();
     let (width, height) = frames[0].codes.size();
-    let pixels: Vec<[Estimate; 3]> = (0..width * height)
-        .into_par_iter()
-        .map_init(Vec::new, |readings, i| {
-            std::array::from_fn(|channel| {
-                readings.clear();
-                let codes = frames.iter().map(|f| f.codes.pixels()[i].0[channel]);
-                readings.extend(codes.zip(&units).map(|(code, unit)| model.read(channel, code, *unit)));
-                estimate(readings, &model, channel)
-            })
-        })
-        .collect();
-    let image = |f: &dyn Fn(&[Estimate; 3]) -> [f32; 3]| pixels.iter().map(f).collect::<Vec<_>>();
-    let radiance = image(&|p| p.map(|e| e.radiance)).into_iter().map(Radiance).collect();
-    let variance = image(&|p| p.map(|e| e.variance));
-    let clipped = pixels.iter().map(|p| p.iter().any(|e| e.clipped)).collect();
-    Ok(Merged {
-        radiance: Image::from_pixels(width, height, radiance),
-        variance: Image::from_pixels(width, height, variance),
-        clipped: Image::from_pixels(width, height, clipped),
-    })
+    let mut merged = Merged {
+        radiance: Image::from_fn(width, height, |_, _| Radiance::default()),
+        variance: Image::from_fn(width, height, |_, _| [0.0; 3]),
+        clipped: Image::from_fn(width, height, |_, _| false),
+    };
+    let pixels = (
+        merged.radiance.pixels_mut().par_iter_mut(),
+        merged.variance.pixels_mut().par_iter_mut(),
+        merged.clipped.pixels_mut().par_iter_mut(),
+    );
+    let pixels = pixels.into_par_iter().enumerate();
+    pixels.for_each_init(Vec::new, |readings, (i, (radiance, variance, clipped))| {
+        for (channel, variance) in variance.iter_mut().enumerate() {
+            readings.clear();
+            let codes = frames.iter().map(|f| f.codes.pixels()[i].0[channel]);
+            readings.extend(codes.zip(&units).map(|(code, unit)| model.read(channel, code, *unit)));
+            let estimate = estimate(readings, &model, channel);
+            radiance.0[channel] = estimate.radiance;
+            *variance = estimate.variance;
+            *clipped |= estimate.clipped;
+        }
+    });
+    Ok(merged)
 }
 
 /// A single photograph, whose exposure is the unit.
@@ -101,7 +105,44 @@ pub fn median(mut values: Vec<f64>) -> Option<f64> {
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
+/// Names of the variance planes.
+const VARIANCE: [&str; 3] = ["VR", "VG", "VB"];
+
 impl Merged {
+    /// A linear picture that is merged already: nothing clipped, no variance known. Negative values become 0.
+    pub fn from_linear(image: &RadianceImage) -> Self {
+        Self {
+            radiance: image.map(|p| Radiance(p.0.map(|v| v.max(0.0)))),
+            variance: image.map(|_| [0.0; 3]),
+            clipped: image.map(|_| false),
+        }
+    }
+
+    /// As planes of an EXR: `R G B`, variance `VR VG VB`, and `clipped` 0 or 1.
+    pub fn planes(&self) -> Planes {
+        let clipped = self.clipped.pixels().iter().map(|c| if *c { 1.0 } else { 0.0 }).collect();
+        let planes = Planes::from_radiance(&self.radiance).with("clipped", clipped);
+        VARIANCE.iter().enumerate().fold(planes, |planes, (k, name)| {
+            planes.with(name, self.variance.pixels().iter().map(|v| v[k]).collect())
+        })
+    }
+
+    /// From such planes; `None` where one is missing.
+    pub fn from_planes(planes: &Planes) -> Option<Self> {
+        let [r, g, b] = VARIANCE.map(|name| planes.plane(name));
+        let (r, g, b, clipped) = (r?, g?, b?, planes.plane("clipped")?);
+        let variance = (0..r.len()).map(|i| [r[i], g[i], b[i]]).collect();
+        Some(Self {
+            radiance: planes.radiance()?,
+            variance: Image::from_pixels(planes.width, planes.height, variance),
+            clipped: Image::from_pixels(
+                planes.width,
+                planes.height,
+                clipped.iter().map(|c| *c > 0.5).collect(),
+            ),
+        })
+    }
+
     /// Share of pixels that are saturated in every frame.
     pub fn clipped_share(&self) -> f64 {
         let clipped = self.clipped.pixels().iter().filter(|c| **c).count();
