@@ -85,8 +85,6 @@ fn a_wrong_exposure_shows_as_disagreement() {
         disagreement(1.0),
         disagreement(2.0)
     );
-<<<<<<< HEAD
-=======
 }
 
 #[test]
@@ -94,7 +92,6 @@ fn planes_hold_everything() {
     let merged = merged(&[100.0, 0.5, 1e-9], &EXPOSURES, false);
     assert_eq!(Merged::from_planes(&merged.planes()), Some(merged.clone()));
     assert_eq!(Merged::from_planes(&Planes::from_radiance(&merged.radiance)), None);
->>>>>>> h1
 }
 
 #[test]
