@@ -8,6 +8,8 @@ pub mod vanishing;
 mod lines;
 mod problem;
 mod solve;
+#[cfg(test)]
+mod tests;
 
 pub use lines::{edges_of, pose_from_lines};
 pub use problem::Problem;
