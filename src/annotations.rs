@@ -2,6 +2,7 @@
 //! top-left pixel.
 
 use crate::error::{FileContext, Result};
+use crate::stage::Context;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -16,6 +17,14 @@ pub struct Annotations {
 }
 
 impl Annotations {
+    /// What was marked for this pipeline; nothing if there is no such file.
+    pub fn load(ctx: &Context) -> Result<Self> {
+        if !ctx.base.join(&ctx.pipeline.annotations).exists() {
+            return Ok(Self::default());
+        }
+        Self::read(&ctx.user_file(&ctx.pipeline.annotations)?)
+    }
+
     /// Reads the file.
     pub fn read(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path).at("reading the annotations", path)?;

@@ -39,7 +39,7 @@
 
 pub mod annotations;
 pub mod artefact;
-//pub mod bench;
+pub mod bench;
 pub mod calibrate;
 pub mod camera;
 pub mod cli;

@@ -41,14 +41,16 @@ const HALF: f64 = 0.5;
 /// Tried in turn: the sector-based detector (Duda and Frese 2018) on the enlarged picture, with shadows lifted, as it
 /// is; then the classic one with its corners refined by gradients. Enlarging a small picture halves the error.
 pub fn chessboard_corners(image: &Image<u8>, inner: [u32; 2]) -> Result<Option<Vec<Point2<f64>>>, Problem> {
-    let quick = calib3d::CALIB_CB_NORMALIZE_IMAGE | calib3d::CALIB_CB_ACCURACY;
+    // Enlarging does what `CALIB_CB_ACCURACY` does, four times faster.
+    let quick = calib3d::CALIB_CB_NORMALIZE_IMAGE;
     let thorough = quick | calib3d::CALIB_CB_EXHAUSTIVE;
+    let unenlarged = thorough | calib3d::CALIB_CB_ACCURACY;
     let pattern = Size::new(inner[0] as i32, inner[1] as i32);
     let lifted = image.map(|v| (255.0 * (f64::from(*v) / 255.0).sqrt()).round() as u8);
     let pictures = [matrix(image)?, matrix(&lifted)?];
     let enlargement = (ENLARGED_PX / image.width().max(image.height()) as f64).round().clamp(1.0, 4.0);
     let mut corners = Vector::<Point2f>::new();
-    for (enlargement, flags) in [(enlargement, quick), (enlargement, thorough), (1.0, thorough)] {
+    for (enlargement, flags) in [(enlargement, quick), (enlargement, thorough), (1.0, unenlarged)] {
         for picture in &pictures {
             let picture = enlarge(picture, enlargement)?;
             if calib3d::find_chessboard_corners_sb(&picture, pattern, &mut corners, flags)? {

@@ -7,9 +7,13 @@ pub mod vanishing;
 
 mod lines;
 mod problem;
+mod solve;
+#[cfg(test)]
+mod tests;
 
 pub use lines::{edges_of, pose_from_lines};
 pub use problem::Problem;
+pub use solve::{Evidence, Solution, solve};
 
 use crate::artefact::json::JsonArtefact;
 use crate::camera::{Camera, Intrinsics};

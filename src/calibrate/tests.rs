@@ -1,0 +1,190 @@
+//! Hard cases: vanishing lines that do not tell the focal length, grids seen badly.
+
+use super::vanishing::{Edge, RoomEdges, edge_residual, focal_from_edges, vanishing_point};
+use super::*;
+use crate::vision::BoardView;
+use nalgebra::{Point2, Point3, Rotation3};
+use proptest::prelude::*;
+
+const CENTRE: Point2<f64> = Point2::new(320.0, 240.0);
+const DIAGONAL: f64 = 800.0;
+
+/// Edges of a room seen with focal length 600 px by a camera turned by Euler angles (rad), with a little noise.
+fn edges(turn: [f64; 3], centre: Point2<f64>, noise: f64, axes: &[usize]) -> RoomEdges {
+    let camera_from_room = Rotation3::from_euler_angles(turn[0], turn[1], turn[2]);
+    let project = |p: Vector3<f64>| {
+        let c = camera_from_room * p;
+        Point2::new(600.0 * c.x / c.z + centre.x, 600.0 * c.y / c.z + centre.y)
+    };
+    let mut all = RoomEdges::default();
+    for &k in axes {
+        for n in 0..8 {
+            let s = n as f64 * 2.4;
+            let middle = camera_from_room.inverse() * Vector3::new(s.cos() * 0.9, s.sin() * 0.7, 3.0);
+            let half = Vector3::ith(k, 0.6);
+            let shift = nalgebra::Vector2::new((5.0 * s).sin(), (7.0 * s).cos()) * noise;
+            all.along[k].push([project(middle - half) + shift, project(middle + half) - shift]);
+        }
+    }
+    all
+}
+
+#[test]
+fn focal_length_comes_from_two_or_three_directions() {
+    for axes in [&[0, 1, 2][..], &[0, 1], &[0, 2]] {
+        let fit =
+            focal_from_edges(&edges([0.9, 0.6, 0.5], CENTRE, 0.0, axes), CENTRE, DIAGONAL, 0.5).unwrap();
+        assert!((fit.focal_px - 600.0).abs() < 0.01, "{axes:?}: {}", fit.focal_px);
+    }
+}
+
+#[test]
+fn noise_is_within_its_sigma() {
+    let fit =
+        focal_from_edges(&edges([0.9, 0.6, 0.5], CENTRE, 0.5, &[0, 1, 2]), CENTRE, DIAGONAL, 0.5).unwrap();
+    let sigma = fit.covariance[(0, 0)].sqrt();
+    assert!((fit.focal_px - 600.0).abs() < 4.0 * sigma && sigma < 30.0, "{} ± {sigma}", fit.focal_px);
+}
+
+#[test]
+fn an_off_centre_principal_point_must_be_told() {
+    let centre = Point2::new(360.0, 220.0);
+    let edges = edges([0.9, 0.6, 0.5], centre, 0.0, &[0, 1]);
+    let told = focal_from_edges(&edges, centre, DIAGONAL, 0.5).unwrap();
+    assert!((told.focal_px - 600.0).abs() < 0.01);
+    if let Ok(untold) = focal_from_edges(&edges, CENTRE, DIAGONAL, 0.5) {
+        assert!((untold.focal_px - 600.0).abs() > 1.0);
+    }
+}
+
+#[test]
+fn a_fronto_parallel_view_is_refused() {
+    let e = focal_from_edges(&edges([0.0; 3], CENTRE, 0.0, &[0, 1, 2]), CENTRE, DIAGONAL, 0.5).unwrap_err();
+    assert!(matches!(e, Problem::FewVanishingPoints { finite: 1, marked: 3 }), "{e}");
+}
+
+#[test]
+fn marks_that_cannot_be_orthogonal_are_refused_with_their_number() {
+    // Two vanishing points on the same side of the principal point: f² < 0.
+    let towards = |v: Point2<f64>| -> Vec<Edge> {
+        [[100.0, 100.0], [500.0, 120.0], [300.0, 400.0]]
+            .map(|p| {
+                let p = Point2::from(p);
+                [p, p + (v - p) * 0.2]
+            })
+            .to_vec()
+    };
+    let along = [towards(Point2::new(1200.0, 240.0)), towards(Point2::new(900.0, 300.0)), Vec::new()];
+    let e = focal_from_edges(&RoomEdges { along }, CENTRE, DIAGONAL, 0.5).unwrap_err();
+    // −(880, 0) · (580, 60)
+    assert!(matches!(e, Problem::NegativeFocal { f2_px2 } if (f2_px2 + 510_400.0).abs() < 1.0), "{e}");
+}
+
+#[test]
+fn an_outlier_is_resisted_and_named() {
+    let mut marked = edges([0.9, 0.6, 0.5], CENTRE, 0.2, &[0, 1, 2]);
+    marked.along[1][3][0].x += 25.0;
+    let fit = focal_from_edges(&marked, CENTRE, DIAGONAL, 0.5).unwrap();
+    assert!((fit.focal_px / 600.0 - 1.0).abs() < 0.05, "{}", fit.focal_px);
+    assert_eq!((fit.worst.0, fit.worst.1), (1, 3));
+}
+
+#[test]
+fn parallel_lines_meet_at_infinity() {
+    let edges: Vec<Edge> =
+        (0..4).map(|k| [Point2::new(50.0, 100.0 * k as f64), Point2::new(500.0, 100.0 * k as f64)]).collect();
+    let v = vanishing_point(&edges, CENTRE, DIAGONAL).unwrap();
+    assert!(v.x.abs() > 1.0 - 1e-9 && v.z.abs() < 1e-6, "{v}");
+    assert!(matches!(vanishing_point(&edges[..1], CENTRE, DIAGONAL), Err(Problem::FewEdges { found: 1 })));
+}
+
+proptest! {
+    #[test]
+    fn edge_residuals_do_not_depend_on_the_scale_of_the_point(
+        x in -900.0..900.0f64, y in -900.0..900.0f64, w in -2.0..2.0f64, s in 0.1..50.0f64,
+    ) {
+        let v = Vector3::new(x, y, w);
+        let edge = [Point2::new(10.0, 20.0), Point2::new(110.0, 60.0)];
+        let (a, b) = (edge_residual(&v, &edge), edge_residual(&(v * s), &edge));
+        prop_assert!((a - b).abs() < 1e-6 * (1.0 + a.abs()));
+    }
+
+    #[test]
+    fn the_pose_of_a_grid_is_found(
+        heading in -3.0..3.0f64, height in 0.4..1.5f64, away in 0.3..1.5f64,
+    ) {
+        let settings = config::Calibrate::default();
+        let from = Vector3::new(away * heading.sin(), height, away * heading.cos());
+        let z = -from.normalize();
+        let x = z.cross(&Vector3::y()).normalize();
+        let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_basis_unchecked(&[x, z.cross(&x), z]));
+        let camera = Camera {
+            intrinsics: Intrinsics::pinhole(640, 480, 600.0),
+            world_from_camera: Isometry3::from_parts(Translation3::from(from), turn),
+        };
+        let board = board::corner_positions(&settings);
+        let see = |p: &Point2<f64>| camera.project(&(world_from_grid() * Point3::new(p.x, p.y, 0.0))).unwrap();
+        let boards = [BoardView { pixels: board.iter().map(see).collect(), board }];
+        let view = pose::View { intrinsics: &camera.intrinsics, boards: &boards, corner_sigma_px: 0.1, edges: None };
+        let posed = pose::fit(&view).unwrap().posed;
+        prop_assert!((posed.camera.centre().coords - from).norm() < 1e-6);
+        prop_assert!(posed.rms_px < 1e-6);
+    }
+}
+
+/// A rendered grid: box-filtered, with its disc.
+fn picture(camera: &Camera, disc: bool, hidden: bool) -> Image<u8> {
+    let ground = |x: f64, y: f64| -> f64 {
+        let ray = camera.ray(&Point2::new(x, y));
+        let p = ray.origin + ray.direction.into_inner() * (-ray.origin.y / ray.direction.y);
+        let (u, v) = (p.x / 0.06, -p.z / 0.06);
+        if hidden && u > 1.5 && v > 0.5 {
+            return 90.0;
+        }
+        let (inside, margin) = (u.abs() < 4.0 && v.abs() < 3.0, u.abs() < 4.5 && v.abs() < 3.5);
+        if inside {
+            return if (u.floor() + v.floor()) as i64 % 2 == 0 { 20.0 } else { 220.0 };
+        }
+        if disc && (u + 4.25).hypot(v + 3.25) < 0.15 {
+            return 20.0;
+        }
+        if margin { 220.0 } else { 120.0 }
+    };
+    Image::from_fn(640, 480, |x, y| {
+        let steps = [0.125, 0.375, 0.625, 0.875];
+        let sum: f64 = steps.iter().flat_map(|a| steps.map(|b| ground(x as f64 + a, y as f64 + b))).sum();
+        (sum / 16.0).round() as u8
+    })
+}
+
+fn above(from: [f64; 3]) -> Camera {
+    let from = Vector3::from(from);
+    let z = -from.normalize();
+    let x = z.cross(&Vector3::y()).normalize();
+    let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_basis_unchecked(&[x, z.cross(&x), z]));
+    Camera {
+        intrinsics: Intrinsics::pinhole(640, 480, 600.0),
+        world_from_camera: Isometry3::from_parts(Translation3::from(from), turn),
+    }
+}
+
+#[test]
+fn the_disc_tells_the_grid_from_itself_turned() {
+    let settings = config::Calibrate::default();
+    for from in [[0.5, 0.8, 0.6], [-0.5, 0.8, -0.6]] {
+        let camera = above(from);
+        let posed = grid_pose(&picture(&camera, true, false), &camera.intrinsics, &settings).unwrap();
+        let off = (posed.camera.centre() - camera.centre()).norm();
+        assert!(off < 0.005 * camera.centre().coords.norm(), "{off}");
+        assert!(!posed.is_ambiguous());
+    }
+}
+
+#[test]
+fn a_grid_without_its_disc_or_partly_hidden_is_refused() {
+    let (settings, camera) = (config::Calibrate::default(), above([0.5, 0.8, 0.6]));
+    let e = grid_pose(&picture(&camera, false, false), &camera.intrinsics, &settings).unwrap_err();
+    assert!(matches!(e, Problem::DiscUnclear { .. }), "{e}");
+    let e = grid_pose(&picture(&camera, true, true), &camera.intrinsics, &settings).unwrap_err();
+    assert!(matches!(e, Problem::GridNotFound { .. }), "{e}");
+}
