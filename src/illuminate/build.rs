@@ -43,6 +43,35 @@ pub struct Built {
     pub figures: Vec<(&'static str, f64)>,
 }
 
+impl Built {
+    fn figure(&self, name: &str) -> Option<f64> {
+        self.figures.iter().find(|(n, _)| *n == name).map(|(_, v)| *v)
+    }
+
+    /// What the figures say against the model.
+    pub fn warnings(&self) -> Vec<String> {
+        let mut warnings = Vec::new();
+        if let Some(share) = self.figure("behind_power_share").filter(|s| *s > 0.05) {
+            let percent = 100.0 * share;
+            warnings.push(format!(
+                "{percent:.0} % of the probe's light meets faces from behind: the probe must stand inside the room"
+            ));
+        }
+        if let Some(ratio) = self.figure("plate_over_probe_radiance").filter(|r| !(0.8..1.25).contains(r)) {
+            warnings.push(format!(
+                "surfaces are {ratio:.2} times as bright in the plate as in the probe: check exposures and reflectivity"
+            ));
+        }
+        if let Some(share) = self.figure("power_share_gathered").filter(|s| *s > 0.2) {
+            let percent = 100.0 * share;
+            warnings.push(format!(
+                "{percent:.0} % of the light comes from surfaces seen in neither probe nor plate"
+            ));
+        }
+        warnings
+    }
+}
+
 /// Builds it. `probe_blur` is the angular standard deviation (per axis, rad) with which the probe shows a point at a
 /// direction.
 pub fn build(
