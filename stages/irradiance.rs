@@ -1,3 +1,19 @@
-//! Stage `irradiance`.
+//! Stage `irradiance`: the volume of incident light around the world's origin.
 
-fn main() {}
+use insitu::error::Context as _;
+use insitu::illuminate::read_light;
+use insitu::irradiance::Volume;
+
+fn main() -> std::process::ExitCode {
+    insitu::cli::stage_main("irradiance", |ctx| {
+        ctx.artefact("illuminate", "distant.json")?;
+        let patches = ctx.artefact("illuminate", "patches.ply")?;
+        let light = read_light(patches.parent().unwrap_or(&patches))?;
+        let support = ctx.pipeline.probe.support_m.unwrap_or(-ctx.pipeline.calibrate.thickness_m);
+        let volume = Volume::build(&light, support, &ctx.pipeline.irradiance)
+            .doing("building the irradiance volume")?;
+        ctx.figure("nodes", volume.len());
+        ctx.figure("nodes_inside_objects", volume.len() - volume.open_nodes());
+        volume.write(&ctx.output("irradiance.ply"))
+    })
+}

@@ -1,3 +1,109 @@
-//! Stage `probe`.
+//! Stage `probe`: merges the probe's exposures, finds the mirror ball, unwraps what it reflects.
 
-fn main() {}
+use insitu::artefact::{exr, json};
+use insitu::calibrate::{self, Cameras, PosedCamera};
+use insitu::config::Role;
+use insitu::error::{Context as _, Result};
+use insitu::exposure::{self, Capture, Frame, Photograph};
+use insitu::image::{Image, Radiance};
+use insitu::merge::{self, Merged};
+use insitu::probe::consistency::Surface;
+use insitu::probe::{Problem, find, unwrap};
+use insitu::response::Response;
+use insitu::stage::Context;
+
+/// Shares of the picture that are drawn white when the grid is looked for.
+const WHITE: [f64; 4] = [0.1, 0.02, 0.3, 0.5];
+/// The reflectivity seen may differ from the one given by this share.
+const REFLECTIVITY_TOLERANCE: f64 = 0.1;
+
+fn main() -> std::process::ExitCode {
+    insitu::cli::stage_main("probe", |ctx| {
+        let settings = &ctx.pipeline.probe;
+        let merged = merged(ctx)?;
+        exr::write(&ctx.output("probe.exr"), &merged.planes(), exr::Kind::Picture)?;
+        let posed = pose(ctx, &merged)?;
+        ctx.figure("grid_rms_px", posed.rms_px);
+        let grid = &ctx.pipeline.calibrate;
+        let half = |corners: u32| f64::from(corners + 1) * grid.square_m / 2.0;
+        let surface = Surface {
+            height_m: settings.support_m.unwrap_or(-grid.thickness_m),
+            board_half_m: Some(grid.inner_corners.map(half)),
+        };
+        let fit = find::find(&posed.camera, &merged.radiance, &surface, settings)
+            .doing("looking for the mirror ball")?;
+        ctx.figure("outline_rms_px", fit.outline_rms_px);
+        ctx.figure("mirror_correlation", fit.mirror_correlation);
+        ctx.figure("centre_sigma_m", fit.centre_sigma_m);
+        ctx.figure("diameter_px", fit.diameter_px);
+        ctx.figure("reflectivity_seen", fit.reflectivity_seen);
+        let given = settings.reflectivity[1];
+        if (fit.reflectivity_seen / given - 1.0).abs() > REFLECTIVITY_TOLERANCE {
+            ctx.warn(format!(
+                "the ball mirrors {:.2} of the surface's light, but probe.reflectivity is {given:.2}",
+                fit.reflectivity_seen
+            ));
+        }
+        let out =
+            unwrap::unwrap(&fit, &merged.radiance, &merged.clipped, settings).doing("unwrapping the ball")?;
+        ctx.figure("clipped_power_share", out.clipped_power_share);
+        ctx.figure("blind_share", out.blind_share);
+        if out.clipped_power_share > 0.01 {
+            ctx.warn(format!(
+                "{:.0} % of the light is clipped in every exposure of the probe, so there is more: add a shorter exposure",
+                100.0 * out.clipped_power_share
+            ));
+        }
+        json::write(&ctx.output("probe.json"), &fit)?;
+        exr::write(&ctx.output("environment.exr"), &out.environment.to_planes(), exr::Kind::LatLong)
+    })
+}
+
+/// All photographs of the probe as one picture in plate units.
+fn merged(ctx: &Context) -> Result<Merged> {
+    let capture: Capture = json::read(&ctx.artefact("ingest", "capture.json")?)?;
+    let response: Response = json::read(&ctx.artefact("response", "response.json")?)?;
+    response.check().doing("reading the response")?;
+    let unit = capture.plate_exposure()?;
+    let photos: Vec<_> = capture.with_role(Role::Probe).collect();
+    if photos.is_empty() {
+        return Err(Problem::NoPicture).doing("looking for the mirror ball");
+    }
+    let bar = ctx.printer.progress("reading the probe", photos.len() as u64);
+    let mut images = Vec::new();
+    for photo in &photos {
+        let scale = photo.exposure.map_or(unit, |e| e.scale());
+        match exposure::load(ctx, &capture, photo)? {
+            Photograph::Linear(image) => {
+                let gain = (unit / scale) as f32;
+                return Ok(Merged::from_linear(&image.map(|p| Radiance(p.0.map(|v| v * gain)))));
+            }
+            Photograph::Codes(codes) => images.push((codes, scale)),
+        }
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    let frames: Vec<_> = images.iter().map(|(codes, e)| Frame { codes, exposure: *e }).collect();
+    merge::merge(&frames, &response, unit, &ctx.pipeline.merge).doing("merging the probe's exposures")
+}
+
+/// The view of the probe from the grid in it; drawn at several exposures until the grid is found.
+fn pose(ctx: &Context, merged: &Merged) -> Result<PosedCamera> {
+    let cameras: Cameras = json::read(&ctx.artefact("calibrate", "cameras.json")?)?;
+    let mut luminance: Vec<f32> = merged.radiance.pixels().iter().map(|p| p.luminance()).collect();
+    luminance.sort_by(f32::total_cmp);
+    let mut last = None;
+    for white in WHITE {
+        let top = luminance[((1.0 - white) * (luminance.len() - 1) as f64) as usize].max(f32::MIN_POSITIVE);
+        let grey: Image<u8> =
+            merged.radiance.map(|p| (255.0 * (p.luminance() / top).clamp(0.0, 1.0).powf(1.0 / 2.2)) as u8);
+        match calibrate::grid_pose(&grey, &cameras.intrinsics, &ctx.pipeline.calibrate) {
+            Ok(posed) => return Ok(posed),
+            Err(problem) => last = Some(problem),
+        }
+    }
+    match last {
+        Some(problem) => Err(problem).doing("looking for the grid in the probe's picture"),
+        None => Err(Problem::NoPicture).doing("looking for the grid in the probe's picture"),
+    }
+}

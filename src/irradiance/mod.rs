@@ -1,1 +1,295 @@
-//! To be written.
+//! The irradiance volume: incident radiance in second-order spherical harmonics on a regular grid, with visibility
+//! (Greger et al. 1998; Gibson and Chalmers 2003, §5).
+
+use crate::artefact::ply;
+use crate::config;
+use crate::error::{Error, Result};
+use crate::illuminate::patch::{LightModel, PatchMesh};
+use crate::sh;
+use crate::visibility::Bvh;
+use glam::Vec3;
+use rayon::prelude::*;
+use std::path::Path;
+
+/// Height of the lowest nodes above the support surface, m: on it, half of all rays would start inside.
+const LIFT_M: f32 = 0.02;
+/// A node is inside something solid if that share of its rays meets surfaces from behind.
+const MAX_BEHIND: f64 = 0.5;
+const FORMAT: &str = "insitu-irradiance 1";
+
+/// Why no volume can be made.
+#[derive(Debug, thiserror::Error, PartialEq)]
+pub enum Problem {
+    /// A setting makes no sense.
+    #[error("irradiance.{name} is {value}")]
+    Setting {
+        /// Which setting.
+        name: &'static str,
+        /// Its value.
+        value: f64,
+    },
+    /// The grid would be too large.
+    #[error("the irradiance volume would have {0:.0} nodes, at most 100,000 are sensible")]
+    TooMany(f64),
+    /// No node is in the open.
+    #[error("all {0} nodes of the irradiance volume lie inside objects or outside the room")]
+    AllInside(usize),
+}
+
+impl crate::error::Problem for Problem {
+    fn hint(&self) -> String {
+        match self {
+            Self::Setting { .. } => "give a positive number, or leave it out for the default",
+            Self::TooMany(_) => "raise irradiance.spacing_m or lower irradiance.reach_m",
+            Self::AllInside(_) => {
+                "check that the faces of the room point inwards and that the grid lies in it"
+            }
+        }
+        .into()
+    }
+}
+
+/// Harmonics of incident radiance on a grid.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Volume {
+    /// Position of the first node, world, m.
+    origin: Vec3,
+    /// Distance of nodes along x, y, z, m.
+    spacing: Vec3,
+    /// Number of nodes along x, y, z.
+    size: [usize; 3],
+    /// x fastest, then y, then z; `None` inside objects.
+    nodes: Vec<Option<sh::Coefficients>>,
+}
+
+impl Volume {
+    /// Fills a box around the world's origin from `support_m` upwards, cut to the mesh's bounds.
+    pub fn build(
+        light: &LightModel,
+        support_m: f64,
+        settings: &config::Irradiance,
+    ) -> std::result::Result<Self, Problem> {
+        for (name, value) in
+            [("spacing_m", settings.spacing_m), ("reach_m", settings.reach_m), ("rays", settings.rays as f64)]
+        {
+            if !(value.is_finite() && value > 0.0) {
+                return Err(Problem::Setting { name, value });
+            }
+        }
+        let (origin, end) = bounds(&light.mesh, support_m as f32, settings.reach_m as f32);
+        let cells = ((end - origin) / settings.spacing_m as f32).ceil().max(Vec3::ONE);
+        let count: f64 = cells.to_array().iter().map(|c| f64::from(*c) + 1.0).product();
+        if count > 1e5 {
+            return Err(Problem::TooMany(count));
+        }
+        let size = cells.to_array().map(|c| c as usize + 1);
+        let spacing = (end - origin) / cells;
+        let bvh = Bvh::new(&light.mesh.vertices, &light.mesh.triangles());
+        let nodes: Vec<_> = (0..size.iter().product::<usize>())
+            .into_par_iter()
+            .map(|i| {
+                let at = origin + spacing * index(i, size).map_vec();
+                incident(light, &bvh, at, settings.rays)
+            })
+            .collect();
+        if nodes.iter().all(Option::is_none) {
+            return Err(Problem::AllInside(nodes.len()));
+        }
+        Ok(Self { origin, spacing, size, nodes })
+    }
+
+    /// Irradiance on a surface of unit `normal`, plate units: nodes are interpolated linearly, those inside objects left
+    /// out; beyond the grid its border holds.
+    pub fn irradiance(&self, position: Vec3, normal: Vec3) -> [f32; 3] {
+        sh::irradiance(&self.harmonics(position), normal)
+    }
+
+    /// Interpolated harmonics of incident radiance.
+    pub fn harmonics(&self, position: Vec3) -> sh::Coefficients {
+        let mut at = [0.0f32; 3];
+        let mut low = [0usize; 3];
+        for k in 0..3 {
+            let last = (self.size[k] - 1) as f32;
+            let x =
+                if self.spacing[k] > 0.0 { (position[k] - self.origin[k]) / self.spacing[k] } else { 0.0 };
+            let x = x.clamp(0.0, last);
+            low[k] = (x as usize).min(self.size[k].saturating_sub(2));
+            at[k] = x - low[k] as f32;
+        }
+        let mut sum = [[0.0f32; 3]; sh::COUNT];
+        let mut weights = 0.0;
+        for corner in 0..8 {
+            let bit = |k: usize| corner >> k & 1;
+            let weight: f32 = (0..3).map(|k| if bit(k) == 1 { at[k] } else { 1.0 - at[k] }).product();
+            let [x, y, z] = [0, 1, 2].map(|k| (low[k] + bit(k)).min(self.size[k] - 1));
+            let node = self.nodes[(z * self.size[1] + y) * self.size[0] + x];
+            if let (Some(node), true) = (node, weight > 0.0) {
+                sum.iter_mut().zip(node).for_each(|(s, n)| (0..3).for_each(|c| s[c] += weight * n[c]));
+                weights += weight;
+            }
+        }
+        if weights < 1e-3 {
+            return self.nearest(position);
+        }
+        sum.map(|s| s.map(|v| v / weights))
+    }
+
+    /// The nearest node in the open.
+    fn nearest(&self, position: Vec3) -> sh::Coefficients {
+        let open = self.nodes.iter().enumerate().filter_map(|(i, n)| n.map(|n| (i, n)));
+        let distance =
+            |i: usize| (self.origin + self.spacing * index(i, self.size).map_vec()).distance(position);
+        open.min_by(|a, b| distance(a.0).total_cmp(&distance(b.0))).map_or([[0.0; 3]; sh::COUNT], |(_, n)| n)
+    }
+
+    /// Number of nodes.
+    pub fn len(&self) -> usize {
+        self.nodes.len()
+    }
+
+    /// Whether there is no node; a built volume has some.
+    pub fn is_empty(&self) -> bool {
+        self.nodes.is_empty()
+    }
+
+    /// Nodes that are not inside an object.
+    pub fn open_nodes(&self) -> usize {
+        self.nodes.iter().flatten().count()
+    }
+
+    /// Writes the grid as points with their harmonics.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        let vector = |v: Vec3| format!("{} {} {}", v.x, v.y, v.z);
+        let [nx, ny, nz] = self.size;
+        let mesh = ply::Mesh {
+            format: FORMAT.into(),
+            comments: vec![
+                "metres, +Y up; harmonics of incident radiance, real orthonormal, plate units".into(),
+                format!("origin {}", vector(self.origin)),
+                format!("spacing {}", vector(self.spacing)),
+                format!("size {nx} {ny} {nz}"),
+            ],
+            vertex_properties: properties(),
+            vertices: (0..self.nodes.len())
+                .map(|i| {
+                    let at = self.origin + self.spacing * index(i, self.size).map_vec();
+                    let mut row = vec![at.x, at.y, at.z, f32::from(u8::from(self.nodes[i].is_some()))];
+                    row.extend(self.nodes[i].unwrap_or_default().as_flattened());
+                    row
+                })
+                .collect(),
+            ..Default::default()
+        };
+        ply::write(path, &mesh)
+    }
+
+    /// Reads what [`Self::write`] wrote.
+    pub fn read(path: &Path) -> Result<Self> {
+        let mesh = ply::read(path, FORMAT)?;
+        let refuse = |problem: &str| {
+            Error::file(
+                "reading the irradiance volume",
+                path,
+                problem,
+                "run `insitu run --force --from irradiance`",
+            )
+        };
+        let numbers = |name: &str| -> Option<[f32; 3]> {
+            let line = mesh.comments.iter().find_map(|c| c.strip_prefix(name)?.strip_prefix(' '))?;
+            let values: Vec<f32> = line.split(' ').map(|v| v.parse().ok()).collect::<Option<_>>()?;
+            values.try_into().ok()
+        };
+        let (Some(origin), Some(spacing), Some(size)) =
+            (numbers("origin"), numbers("spacing"), numbers("size"))
+        else {
+            return Err(refuse("does not state origin, spacing and size of its grid"));
+        };
+        let size = size.map(|s| s as usize);
+        if mesh.vertex_properties != properties()
+            || mesh.vertices.is_empty()
+            || mesh.vertices.len() != size.iter().product::<usize>()
+        {
+            return Err(refuse("its nodes do not fit its grid"));
+        }
+        let node = |row: &Vec<f32>| {
+            (row[3] > 0.5).then(|| std::array::from_fn(|i| [0, 1, 2].map(|c| row[4 + 3 * i + c])))
+        };
+        let nodes = mesh.vertices.iter().map(node).collect();
+        Ok(Self { origin: origin.into(), spacing: spacing.into(), size, nodes })
+    }
+}
+
+fn properties() -> Vec<String> {
+    let mut names = ["x", "y", "z", "open"].map(String::from).to_vec();
+    for i in 0..sh::COUNT {
+        names.extend(["red", "green", "blue"].map(|c| format!("sh{i}_{c}")));
+    }
+    names
+}
+
+/// Grid indices of a node.
+struct Index([usize; 3]);
+
+impl Index {
+    fn map_vec(&self) -> Vec3 {
+        Vec3::from_array(self.0.map(|v| v as f32))
+    }
+}
+
+fn index(i: usize, size: [usize; 3]) -> Index {
+    Index([i % size[0], i / size[0] % size[1], i / (size[0] * size[1])])
+}
+
+/// The region around the world's origin, cut to the mesh's bounds where these enclose it, a little off its surfaces.
+fn bounds(mesh: &PatchMesh, support: f32, reach: f32) -> (Vec3, Vec3) {
+    let mut low = Vec3::new(-reach, support + LIFT_M, -reach);
+    let mut high = Vec3::new(reach, support + LIFT_M + reach, reach);
+    let room = mesh.vertices.iter().fold((Vec3::MAX, Vec3::MIN), |(a, b), v| (a.min(*v), b.max(*v)));
+    for k in 0..3 {
+        // A face alone, like the ground, has no height to cut to.
+        if room.1[k] - room.0[k] > reach && room.0[k] + LIFT_M < high[k] && room.1[k] - LIFT_M > low[k] {
+            low[k] = low[k].max(room.0[k] + LIFT_M);
+            high[k] = high[k].min(room.1[k] - LIFT_M);
+        }
+    }
+    (low, high.max(low))
+}
+
+/// Incident radiance at a point; `None` inside something solid.
+fn incident(light: &LightModel, bvh: &Bvh, at: Vec3, rays: usize) -> Option<sh::Coefficients> {
+    let mut sum = sh::Projection::default();
+    let solid_angle = 4.0 * std::f64::consts::PI / rays as f64;
+    let mut behind = 0usize;
+    for i in 0..rays {
+        let d = sphere_direction(i, rays);
+        if let Some(hit) = bvh.closest(at, d, 0.0, f32::MAX) {
+            let patch = hit.triangle as usize;
+            if light.mesh.normal(patch).dot(d) < 0.0 {
+                sum.add(d, light.mesh.patches[patch].radiance, solid_angle);
+            } else {
+                behind += 1;
+            }
+        }
+    }
+    if behind as f64 > MAX_BEHIND * rays as f64 {
+        return None;
+    }
+    for s in &light.distant {
+        if !bvh.any_hit(at, s.direction, 0.0, f32::MAX) {
+            sum.add(s.direction, s.radiance, f64::from(s.solid_angle_sr));
+        }
+    }
+    Some(sum.coefficients())
+}
+
+/// The `i`-th of `n` directions spread evenly over the sphere (Fibonacci lattice).
+fn sphere_direction(i: usize, n: usize) -> Vec3 {
+    const GOLDEN: f64 = 0.618_033_988_749_894_9;
+    let y = 1.0 - (2.0 * i as f64 + 1.0) / n as f64;
+    let r = (1.0 - y * y).sqrt();
+    let (sin, cos) = (std::f64::consts::TAU * (i as f64 * GOLDEN).fract()).sin_cos();
+    Vec3::new((r * cos) as f32, y as f32, (r * sin) as f32)
+}
+
+#[cfg(test)]
+mod tests;

@@ -13,7 +13,8 @@ pub mod unwrap;
 
 use crate::artefact::json::JsonArtefact;
 use crate::camera::Camera;
-use nalgebra::Point3;
+use glam::Vec3;
+use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
 pub use environment::Environment;
@@ -41,6 +42,19 @@ pub struct ProbeFit {
     pub diameter_px: f64,
 }
 
+impl ProbeFit {
+    /// Angular standard deviation, per axis, with which the unwrapped ball shows a point in a direction, rad: of a pixel
+    /// (variance 1/12 px²) and of bilinear interpolation (1/6 px²), through the mirror's slope 2 / (R cos θ).
+    pub fn blur(&self, direction: Vec3) -> f64 {
+        let view = (self.camera.centre() - self.centre).normalize();
+        let d = Vector3::new(f64::from(direction.x), f64::from(direction.y), f64::from(direction.z));
+        let cosine = ((1.0 + view.dot(&d)) / 2.0).max(0.0).sqrt().max(0.05);
+        // Across and along the meridian, in the mean.
+        let slope = 2.0 / (0.5 * self.diameter_px) * (0.5 * (1.0 + 1.0 / (cosine * cosine))).sqrt();
+        slope * 0.25f64.sqrt()
+    }
+}
+
 impl JsonArtefact for ProbeFit {
     const FORMAT: &'static str = "insitu-probe";
     const VERSION: u32 = 1;
@@ -59,6 +73,9 @@ pub enum Problem {
         /// Correlation that is needed.
         needed: f64,
     },
+    /// No photograph has the role.
+    #[error("there is no photograph of the mirror ball")]
+    NoPicture,
     /// Part of the ball lies outside the picture.
     #[error("the mirror ball is cut off by the border of the picture: {:.0} % of its outline lie outside", 100.0 * outside)]
     CutOff {
@@ -93,6 +110,7 @@ impl crate::error::Problem for Problem {
             Self::NotFound { .. } => {
                 "check probe.radius_m and probe.support_m, and that grid and ball stand on the same surface"
             }
+            Self::NoPicture => "name its photographs in pipeline.toml under [ingest.roles] as `probe`",
             Self::CutOff { .. } => "use a picture that shows the whole ball",
             Self::TooSmall { .. } => "go closer, use a longer lens or a larger picture",
             Self::Radius(_) => "give the ball's radius in metres as probe.radius_m",

@@ -1,0 +1,88 @@
+use super::*;
+use crate::illuminate::mesh::{FaceMesh, assemble};
+use crate::illuminate::patch::DistantSource;
+use crate::illuminate::room;
+use crate::model::face::Face;
+use std::f32::consts::PI;
+
+fn light(faces: &[Face], radiance: [f32; 3]) -> LightModel {
+    let meshes: Vec<_> = faces
+        .iter()
+        .map(|f| {
+            let mut m = FaceMesh::new(f).unwrap();
+            m.refine(|_| 1.0);
+            Some(m)
+        })
+        .collect();
+    let mut mesh = assemble(&meshes);
+    mesh.patches.iter_mut().for_each(|p| p.radiance = radiance);
+    LightModel { mesh, distant: Vec::new() }
+}
+
+fn settings() -> config::Irradiance {
+    config::Irradiance { rays: 2048, spacing_m: 0.5, ..Default::default() }
+}
+
+#[test]
+fn white_furnace() {
+    let v = Volume::build(&light(&room::faces(4.0, 3.0, 4.0), [2.0, 1.0, 0.5]), 0.0, &settings()).unwrap();
+    assert_eq!(v.open_nodes(), v.len());
+    for n in [Vec3::X, -Vec3::Y, Vec3::new(0.6, 0.0, 0.8)] {
+        let e = v.irradiance(Vec3::new(0.31, 0.4, -0.2), n);
+        assert!((e[0] / (2.0 * PI) - 1.0).abs() < 0.01, "{e:?}");
+        assert!((e[2] / (0.5 * PI) - 1.0).abs() < 0.01);
+    }
+}
+
+#[test]
+fn a_uniform_sky_over_black_ground() {
+    let mut light = light(&room::faces(40.0, 1.0, 40.0)[..1], [0.0; 3]);
+    let n = 4000;
+    light.distant = (0..n)
+        .map(|i| DistantSource {
+            direction: sphere_direction(i, n),
+            solid_angle_sr: 4.0 * PI / n as f32,
+            radiance: [1.0; 3],
+        })
+        .collect();
+    let v = Volume::build(&light, 0.0, &settings()).unwrap();
+    let p = Vec3::new(0.1, 0.3, 0.1);
+    // Half a sphere of light gives π upwards and π/2 sideways; the truncated series is off by a few per cent of π.
+    assert!((v.irradiance(p, Vec3::Y)[0] / PI - 1.0).abs() < 0.05, "{:?}", v.irradiance(p, Vec3::Y));
+    assert!((v.irradiance(p, Vec3::X)[0] / PI - 0.5).abs() < 0.05);
+    assert!(v.irradiance(p, -Vec3::Y)[0] / PI < 0.05);
+}
+
+#[test]
+fn nodes_inside_a_box_are_left_out() {
+    let mut faces = room::faces(4.0, 3.0, 4.0);
+    for f in room::faces(1.0, 1.2, 1.0) {
+        let mut outward = f.clone();
+        outward.vertices.reverse();
+        faces.push(outward);
+    }
+    let v = Volume::build(&light(&faces, [1.0; 3]), 0.0, &settings()).unwrap();
+    assert!(v.open_nodes() < v.len());
+    let beside = v.irradiance(Vec3::new(0.55, 0.3, 0.0), Vec3::X)[0];
+    assert!((beside / PI - 1.0).abs() < 0.02, "the dark inside does not leak: {beside}");
+}
+
+#[test]
+fn a_volume_survives_exactly() {
+    let v = Volume::build(&light(&room::faces(4.0, 3.0, 4.0), [2.0, 1.0, 0.5]), 0.0, &settings()).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("irradiance.ply");
+    v.write(&path).unwrap();
+    assert_eq!(Volume::read(&path).unwrap(), v);
+}
+
+#[test]
+fn refusals_say_why() {
+    let light = light(&room::faces(4.0, 3.0, 4.0), [1.0; 3]);
+    let with = |spacing_m: f64| config::Irradiance { spacing_m, ..settings() };
+    assert_eq!(
+        Volume::build(&light, 0.0, &with(0.0)).unwrap_err(),
+        Problem::Setting { name: "spacing_m", value: 0.0 }
+    );
+    assert!(matches!(Volume::build(&light, 0.0, &with(0.001)).unwrap_err(), Problem::TooMany(_)));
+}
