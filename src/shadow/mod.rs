@@ -22,7 +22,9 @@ pub use radiance_transfer::RadianceTransfer;
 pub use raster::{ShadowMap, rasterise};
 pub use raytraced::raytraced;
 pub use receivers::{Receiver, Receivers};
-pub(crate) use tiles::{Pixel, Prepared};
+#[cfg(test)]
+pub(crate) use raster::{DEPTH_BIAS, STEEPEST};
+pub(crate) use tiles::Pixel;
 
 /// The synthetic object as light sees it, in the world.
 #[derive(Debug, Clone, Default, PartialEq)]

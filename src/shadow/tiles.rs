@@ -29,6 +29,8 @@ pub(crate) struct Tile {
     pub pixels: std::ops::Range<usize>,
     pub centre: Vec3,
     pub radius: f32,
+    /// Columns of the transfers that its pixels use, ascending.
+    pub columns: Vec<u32>,
 }
 
 /// All receiver pixels, tile by tile.
@@ -132,5 +134,8 @@ fn tile(pixels: &[Pixel], start: usize) -> Option<Tile> {
     let max = members.iter().map(|p| p.position).reduce(Vec3::max)?;
     let centre = (min + max) / 2.0;
     let radius = members.iter().map(|p| p.position.distance(centre)).fold(0.0, f32::max);
-    Some(Tile { pixels: start..pixels.len(), centre, radius })
+    let mut columns: Vec<u32> = members.iter().flat_map(|p| p.columns).collect();
+    columns.sort_unstable();
+    columns.dedup();
+    Some(Tile { columns, pixels: start..pixels.len(), centre, radius })
 }
