@@ -54,7 +54,10 @@ pub(crate) struct Device {
 impl Device {
     /// The fastest adapter; buffers as large as it allows.
     pub fn open() -> Result<Self, Problem> {
-        let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env());
+        // OpenGL is left out: it has no texture arrays of the needed kind everywhere, and its loader is noisy.
+        let backends = wgpu::Backends::from_env().unwrap_or(wgpu::Backends::PRIMARY);
+        let descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
+        let instance = wgpu::Instance::new(wgpu::InstanceDescriptor { backends, ..descriptor });
         let options = wgpu::RequestAdapterOptions {
             power_preference: wgpu::PowerPreference::HighPerformance,
             ..Default::default()
