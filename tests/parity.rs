@@ -164,5 +164,9 @@ fn cpu_without_one_source(stage: &Stage, object: &Occluder) -> RadianceImage {
     let mut transfers = stage.transfers.clone();
     transfers.transfer.row_mut(0).fill(0.0);
     let scene = shadow::Scene { transfers: &transfers, ..stage.scene() };
-    shadow::RadianceTransfer::prepare(&scene, &Render::default()).unwrap().removed_radiance(object).unwrap().epsilon
+    shadow::RadianceTransfer::prepare(&scene, &Render::default())
+        .unwrap()
+        .removed_radiance(object)
+        .unwrap()
+        .epsilon
 }

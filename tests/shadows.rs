@@ -32,7 +32,9 @@ fn radiance_transfer_agrees_with_the_reference() {
             let (error, bias) = errors(&stage.plate, &found.epsilon, &reference.epsilon);
             let noise = reference.noise.unwrap();
             let (sources, maps) = (found.sources_used, found.shadow_maps);
-            println!("{name}: {sources} sources, {maps} maps: error {error:.4}, bias {bias:+.4}, noise {noise:.4}");
+            println!(
+                "{name}: {sources} sources, {maps} maps: error {error:.4}, bias {bias:+.4}, noise {noise:.4}"
+            );
             assert!(error <= bound && bias.abs() <= 0.01, "{name}: error {error}, bias {bias}");
             assert!(noise < 0.03, "{name}: the reference's own noise is {noise}");
         }
@@ -154,7 +156,9 @@ fn broken_objects_and_foreign_artefacts_are_refused() {
     broken.triangles = vec![[0, 1, 99]];
     assert_eq!(refuse(&broken, &settings), "triangle 0 of the object has a vertex that does not exist");
     let whole = cuboid(at(0.0, 0.2, 0.0), Vec3::splat(0.1));
-    assert!(refuse(&whole, &Render { shadow_map_px: 4, ..settings.clone() }).starts_with("shadow_map_px is 4"));
+    assert!(
+        refuse(&whole, &Render { shadow_map_px: 4, ..settings.clone() }).starts_with("shadow_map_px is 4")
+    );
     let small = RadianceImage::from_pixels(1, 1, vec![Default::default()]);
     let scene = insitu::shadow::Scene { plate: &small, ..stage.scene() };
     let e = removed_radiance(&scene, &whole, &settings);

@@ -35,7 +35,8 @@ impl error::Problem for Problem {
     fn hint(&self) -> String {
         match self {
             Self::NoAdapter(_) => {
-                "set render.backend = \"cpu\", or install a Vulkan driver (software: mesa-vulkan-drivers)".into()
+                "set render.backend = \"cpu\", or install a Vulkan driver (software: mesa-vulkan-drivers)"
+                    .into()
             }
             Self::Device { .. } => "set render.backend = \"cpu\", or a smaller render.shadow_map_px".into(),
             Self::Shader { .. } => "set render.backend = \"cpu\" and report this".into(),
@@ -54,7 +55,7 @@ pub(crate) struct Device {
 impl Device {
     /// The fastest adapter; buffers as large as it allows.
     pub fn open() -> Result<Self, Problem> {
-        // OpenGL is left out: it has no texture arrays of the needed kind everywhere, and its loader is noisy.
+        // Vulkan, Metal, Direct3D 12 unless the environment (WGPU_BACKEND) names another.
         let backends = wgpu::Backends::from_env().unwrap_or(wgpu::Backends::PRIMARY);
         let descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
         let instance = wgpu::Instance::new(wgpu::InstanceDescriptor { backends, ..descriptor });

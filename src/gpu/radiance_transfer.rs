@@ -60,10 +60,12 @@ impl RadianceTransfer {
             .collect();
 
         let per_block = (most / size_of::<Receiver>()).min(65_535 * WORKGROUP);
-        let pixels = plain.pixels().chunks(per_block).map(|pixels| PixelBlock::new(&device, pixels)).collect();
+        let pixels =
+            plain.pixels().chunks(per_block).map(|pixels| PixelBlock::new(&device, pixels)).collect();
 
         let size = settings.shadow_map_px;
-        let batch = (BATCH_BYTES / (4 * size * size)).clamp(1, device.limits.max_texture_array_layers as usize);
+        let batch =
+            (BATCH_BYTES / (4 * size * size)).clamp(1, device.limits.max_texture_array_layers as usize);
         let texture = device.device.create_texture(&wgpu::TextureDescriptor {
             label: Some("shadow maps"),
             size: wgpu::Extent3d {
@@ -286,7 +288,11 @@ impl PixelBlock {
 
 impl Device {
     fn upload(&self, label: &str, contents: &[u8], usage: wgpu::BufferUsages) -> wgpu::Buffer {
-        self.device.create_buffer_init(&wgpu::util::BufferInitDescriptor { label: Some(label), contents, usage })
+        self.device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+            label: Some(label),
+            contents,
+            usage,
+        })
     }
 
     fn mesh(&self, occluder: &Occluder) -> Mesh {

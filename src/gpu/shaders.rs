@@ -70,8 +70,11 @@ mod tests {
     #[test]
     fn constants_are_those_of_the_plain_reference() {
         let (module, _) = compose(SUBTRACT_TRANSFERS).unwrap();
-        for (name, value) in [("DEPTH_BIAS", crate::shadow::DEPTH_BIAS), ("STEEPEST", crate::shadow::STEEPEST)] {
-            let (_, constant) = module.constants.iter().find(|(_, c)| c.name.as_deref() == Some(name)).unwrap();
+        for (name, value) in
+            [("DEPTH_BIAS", crate::shadow::DEPTH_BIAS), ("STEEPEST", crate::shadow::STEEPEST)]
+        {
+            let (_, constant) =
+                module.constants.iter().find(|(_, c)| c.name.as_deref() == Some(name)).unwrap();
             let literal = &module.global_expressions[constant.init];
             assert!(
                 matches!(literal, naga::Expression::Literal(naga::Literal::F32(v)) if *v == value),

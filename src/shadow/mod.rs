@@ -19,11 +19,11 @@ use glam::Vec3;
 
 pub use projection::{Bounds, MapPlan, Projection, ShadowOrigin, plan};
 pub use radiance_transfer::RadianceTransfer;
+#[cfg(test)]
+pub(crate) use raster::{DEPTH_BIAS, STEEPEST};
 pub use raster::{ShadowMap, rasterise};
 pub use raytraced::raytraced;
 pub use receivers::{Receiver, Receivers};
-#[cfg(test)]
-pub(crate) use raster::{DEPTH_BIAS, STEEPEST};
 pub(crate) use tiles::Pixel;
 
 /// The synthetic object as light sees it, in the world.
@@ -105,7 +105,9 @@ pub enum Problem {
 impl error::Problem for Problem {
     fn hint(&self) -> String {
         match self {
-            Self::EmptyOccluder => "check the object's file: it needs triangles, not only points or lines".into(),
+            Self::EmptyOccluder => {
+                "check the object's file: it needs triangles, not only points or lines".into()
+            }
             Self::BrokenTriangle { .. } => "repair the object's mesh, e.g. export it again".into(),
             Self::Mismatch { .. } => "run `insitu run --force --from illuminate`".into(),
             Self::Setting { name, range, .. } => format!("set render.{name} to {range}"),
@@ -137,10 +139,16 @@ impl Occluder {
             for &v in corners {
                 match self.vertices.get(v as usize) {
                     None => {
-                        return Err(Problem::BrokenTriangle { triangle, what: "a vertex that does not exist" });
+                        return Err(Problem::BrokenTriangle {
+                            triangle,
+                            what: "a vertex that does not exist",
+                        });
                     }
                     Some(p) if !p.is_finite() => {
-                        return Err(Problem::BrokenTriangle { triangle, what: "a position that is not finite" });
+                        return Err(Problem::BrokenTriangle {
+                            triangle,
+                            what: "a position that is not finite",
+                        });
                     }
                     _ => {}
                 }
@@ -153,10 +161,15 @@ impl Occluder {
 impl Scene<'_> {
     /// Refuses artefacts that were not made for each other.
     pub(crate) fn check(&self) -> Result<(), Problem> {
-        let mismatch = |what, found: String, expected: String| Err(Problem::Mismatch { what, found, expected });
+        let mismatch =
+            |what, found: String, expected: String| Err(Problem::Mismatch { what, found, expected });
         if self.receivers.pixels.size() != self.plate.size() {
             let (found, expected) = (self.receivers.pixels.size(), self.plate.size());
-            return mismatch("size of the plate's camera", format!("{found:?} px"), format!("{expected:?} px"));
+            return mismatch(
+                "size of the plate's camera",
+                format!("{found:?} px"),
+                format!("{expected:?} px"),
+            );
         }
         let (patches, distant) = (self.light.mesh.patches.len(), self.light.distant.len());
         for source in &self.transfers.sources {

@@ -33,9 +33,7 @@ impl Bounds {
         // A flat object gets a little depth, so that every frustum has a volume.
         let pad = DVec3::splat(f64::from(self.radius) * 1e-3);
         let (a, b) = (self.min.as_dvec3() - pad, self.max.as_dvec3() + pad);
-        std::array::from_fn(|i| {
-            DVec3::select(glam::BVec3::new(i & 1 > 0, i & 2 > 0, i & 4 > 0), b, a)
-        })
+        std::array::from_fn(|i| DVec3::select(glam::BVec3::new(i & 1 > 0, i & 2 > 0, i & 4 > 0), b, a))
     }
 }
 
@@ -238,9 +236,8 @@ mod tests {
     use proptest::prelude::*;
 
     fn cube(centre: Vec3, half: f32) -> Occluder {
-        let vertices = (0..8)
-            .map(|i| centre + Vec3::new(s(i & 1), s(i >> 1 & 1), s(i >> 2 & 1)) * half)
-            .collect();
+        let vertices =
+            (0..8).map(|i| centre + Vec3::new(s(i & 1), s(i >> 1 & 1), s(i >> 2 & 1)) * half).collect();
         fn s(bit: i32) -> f32 {
             2.0 * bit as f32 - 1.0
         }

@@ -41,7 +41,12 @@ impl RadianceTransfer {
         Ok(Self {
             prepared: Prepared::new(scene, settings)?,
             radiance: sources.iter().map(|s| s.radiance(scene.light)).collect(),
-            transfer: scene.transfers.transfer.slice(ndarray::s![..count, ..]).as_standard_layout().into_owned(),
+            transfer: scene
+                .transfers
+                .transfer
+                .slice(ndarray::s![..count, ..])
+                .as_standard_layout()
+                .into_owned(),
             light: scene.light.clone(),
             left_out_share: scene.left_out_share(count),
             sources,

@@ -1,8 +1,8 @@
 //! Depth-only rasteriser for shadow maps, with the rules of graphics hardware: vertices on a 1/256-texel raster,
 //! samples at texel centres, top-left edges, depth affine over the map.
 
-use super::projection::Projection;
 use super::Occluder;
+use super::projection::Projection;
 use glam::Vec3;
 
 /// What a map holds where the occluder is not.
@@ -130,7 +130,8 @@ impl ShadowMap {
         let (fu, fv) = (u - column, v - row);
         let at = row as usize * self.size + column as usize;
         let corner = d - DEPTH_BIAS - du * fu - dv * fv;
-        let hit = |offset: usize, depth: f32| if self.depth[at + offset] < depth.min(EMPTY) { 1.0 } else { 0.0 };
+        let hit =
+            |offset: usize, depth: f32| if self.depth[at + offset] < depth.min(EMPTY) { 1.0 } else { 0.0 };
         let top = hit(0, corner) * (1.0 - fu) + hit(1, corner + du) * fu;
         let bottom = hit(self.size, corner + dv) * (1.0 - fu) + hit(self.size + 1, corner + du + dv) * fu;
         top * (1.0 - fv) + bottom * fv
@@ -162,7 +163,11 @@ mod tests {
         assert_eq!(blocked(0.0), 1.0);
         assert_eq!(blocked(0.49), 1.0);
         assert_eq!(blocked(0.51), 0.0);
-        assert_eq!(shadow.blocked(Vec3::new(0.0, 1.5, 0.0), Vec3::Y), 0.0, "nearer to the light than the square");
+        assert_eq!(
+            shadow.blocked(Vec3::new(0.0, 1.5, 0.0), Vec3::Y),
+            0.0,
+            "nearer to the light than the square"
+        );
         assert_eq!(shadow.blocked(Vec3::new(0.0, 2.5, 0.0), -Vec3::Y), 0.0, "behind the light");
     }
 
@@ -209,8 +214,16 @@ mod tests {
             let shadow = map(&wall, ShadowOrigin::Point(Vec3::new(0.3, 1.5, 1.5)), size);
             let texel = 0.4 / size as f32;
             for x in [-0.1, 0.0, 0.1] {
-                assert_eq!(shadow.blocked(Vec3::new(x, 0.0, -2.0 * texel - 1e-3), Vec3::Y), 1.0, "contact at {x}");
-                assert_eq!(shadow.blocked(Vec3::new(x, 0.0, 2.0 * texel + 1e-3), Vec3::Y), 0.0, "lit side at {x}");
+                assert_eq!(
+                    shadow.blocked(Vec3::new(x, 0.0, -2.0 * texel - 1e-3), Vec3::Y),
+                    1.0,
+                    "contact at {x}"
+                );
+                assert_eq!(
+                    shadow.blocked(Vec3::new(x, 0.0, 2.0 * texel + 1e-3), Vec3::Y),
+                    0.0,
+                    "lit side at {x}"
+                );
             }
         }
     }

@@ -64,7 +64,9 @@ pub fn raytraced(scene: &Scene, occluder: &Occluder, settings: &Render) -> Resul
             let mut buffers = (Vec::new(), Vec::new());
             pixels
                 .iter()
-                .map(|pixel| tracer.halves(pixel, prepared.plate.pixels()[pixel.index as usize], &mut buffers))
+                .map(|pixel| {
+                    tracer.halves(pixel, prepared.plate.pixels()[pixel.index as usize], &mut buffers)
+                })
                 .collect::<Vec<_>>()
         })
         .collect();
@@ -76,9 +78,9 @@ pub fn raytraced(scene: &Scene, occluder: &Occluder, settings: &Render) -> Resul
         let mean = std::array::from_fn(|c| (a.0[c] + b.0[c]) / 2.0);
         epsilon[index] = Radiance(mean);
         if luminance(mean) > 0.02 * prepared.plate.pixels()[index].luminance() {
-            for c in 0..3 {
+            for (c, m) in mean.iter().enumerate() {
                 error += f64::from((a.0[c] - b.0[c]) / 2.0).powi(2);
-                signal += f64::from(mean[c]).powi(2);
+                signal += f64::from(*m).powi(2);
             }
         }
     }
@@ -115,7 +117,9 @@ impl<'a> Tracer<'a> {
             .collect();
         let transfer = &scene.transfers.transfer;
         let weights = (0..transfer.ncols())
-            .map(|v| lights.iter().enumerate().map(|(j, l)| luminance(l.radiance) * transfer[(j, v)]).collect())
+            .map(|v| {
+                lights.iter().enumerate().map(|(j, l)| luminance(l.radiance) * transfer[(j, v)]).collect()
+            })
             .collect();
         Self {
             lights,
@@ -222,7 +226,15 @@ impl<'a> Tracer<'a> {
         }
     }
 
-    fn sample(&self, pixel: &Pixel, from: Vec3, j: usize, shift: Shift, i: u32, density: f64) -> Option<Sample> {
+    fn sample(
+        &self,
+        pixel: &Pixel,
+        from: Vec3,
+        j: usize,
+        shift: Shift,
+        i: u32,
+        density: f64,
+    ) -> Option<Sample> {
         let light = &self.lights[j];
         let u = shift.point(i);
         let (kernel, target, distant) = match &light.shape {
@@ -248,7 +260,8 @@ impl<'a> Tracer<'a> {
 
     /// Whether the segment passes the object's bounding sphere.
     fn near_object(&self, from: Vec3, sample: &Sample) -> bool {
-        let (v, to) = (if sample.distant { sample.target } else { sample.target - from }, self.bounds.centre - from);
+        let (v, to) =
+            (if sample.distant { sample.target } else { sample.target - from }, self.bounds.centre - from);
         let along = to.dot(v) / v.length_squared();
         let nearest = v * if sample.distant { along.max(0.0) } else { along.clamp(0.0, 1.0) };
         nearest.distance_squared(to) <= self.bounds.radius * self.bounds.radius

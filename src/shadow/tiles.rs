@@ -114,8 +114,8 @@ fn pixel(
     }
     let mut irradiance = [0.0; 3];
     for (weight, column) in receiver.barycentric.iter().zip(columns) {
-        for c in 0..3 {
-            irradiance[c] += weight * scene.transfers.irradiance[(column as usize, c)];
+        for (c, sum) in irradiance.iter_mut().enumerate() {
+            *sum += weight * scene.transfers.irradiance[(column as usize, c)];
         }
     }
     Ok(Some(Pixel {

@@ -75,7 +75,8 @@ mod tests {
 
     fn rectangle(half: f32, half_y: f32, height: f32) -> [Vec3; 4] {
         // Faces −Z, towards a receiver at the origin.
-        [(1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0)].map(|(x, y)| Vec3::new(x * half, y * half_y, height))
+        [(1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0)]
+            .map(|(x, y)| Vec3::new(x * half, y * half_y, height))
     }
 
     #[test]

@@ -113,9 +113,12 @@ impl error::Problem for Problem {
     fn hint(&self) -> String {
         match self {
             Self::NoReceiver { .. } => {
-                "check the plate's pose (`calibrate`) and that the primitives of `model` enclose the view".into()
+                "check the plate's pose (`calibrate`) and that the primitives of `model` enclose the view"
+                    .into()
             }
-            Self::NoLight { .. } => "check that the probe's picture is not black and that faces look inwards".into(),
+            Self::NoLight { .. } => {
+                "check that the probe's picture is not black and that faces look inwards".into()
+            }
             Self::Share(_) => "set transfer.source_share between 0 and 1; 0.7 is usual".into(),
             Self::NoRays => "set transfer.rays to 8 or more".into(),
             Self::Radiance { .. } => "run `insitu run --force --from illuminate`".into(),

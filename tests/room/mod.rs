@@ -11,7 +11,14 @@ use insitu::transfer::{Transfers, solve};
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 /// Cuts the parallelogram `corner + u + v` (front along u × v) into right triangles with legs of at most `edge` m.
-pub fn face(mesh: &mut PatchMesh, corner: Vec3, u: Vec3, v: Vec3, edge: f32, radiance: impl Fn(Vec3) -> [f32; 3]) {
+pub fn face(
+    mesh: &mut PatchMesh,
+    corner: Vec3,
+    u: Vec3,
+    v: Vec3,
+    edge: f32,
+    radiance: impl Fn(Vec3) -> [f32; 3],
+) {
     let (columns, rows) = ((u.length() / edge).ceil() as u32, (v.length() / edge).ceil() as u32);
     let base = mesh.vertices.len() as u32;
     let face = mesh.patches.last().map_or(0, |p| p.face + 1);
@@ -26,7 +33,13 @@ pub fn face(mesh: &mut PatchMesh, corner: Vec3, u: Vec3, v: Vec3, edge: f32, rad
         for vertices in [[at(0, 0), at(1, 0), at(1, 1)], [at(0, 0), at(1, 1), at(0, 1)]] {
             let centre = vertices.iter().map(|&k| mesh.vertices[k as usize]).sum::<Vec3>() / 3.0;
             let radiance = radiance(centre);
-            mesh.patches.push(Patch { vertices, face, radiance, reflectance: [0.5; 3], evidence: Evidence::Probe });
+            mesh.patches.push(Patch {
+                vertices,
+                face,
+                radiance,
+                reflectance: [0.5; 3],
+                evidence: Evidence::Probe,
+            });
         }
     }
 }
@@ -78,12 +91,18 @@ impl Stage {
         let receivers = Receivers::cast(camera, &light.mesh);
         let transfers = solve(&light, &receivers, settings, || {}).unwrap();
         let (width, height) = receivers.pixels.size();
-        let plate = Image::from_fn(width, height, |x, y| Radiance([0.2 + 0.1 * ((x / 8 + y / 8) % 2) as f32; 3]));
+        let plate =
+            Image::from_fn(width, height, |x, y| Radiance([0.2 + 0.1 * ((x / 8 + y / 8) % 2) as f32; 3]));
         Self { light, receivers, transfers, plate }
     }
 
     pub fn scene(&self) -> Scene<'_> {
-        Scene { light: &self.light, transfers: &self.transfers, receivers: &self.receivers, plate: &self.plate }
+        Scene {
+            light: &self.light,
+            transfers: &self.transfers,
+            receivers: &self.receivers,
+            plate: &self.plate,
+        }
     }
 }
 
@@ -115,7 +134,8 @@ pub fn blob(centre: Vec3, radius: f32, bumps: f32, rings: u32) -> Occluder {
                 std::f32::consts::PI * i as f32 / rings as f32,
                 std::f32::consts::TAU * j as f32 / turns as f32,
             );
-            let r = radius * (1.0 + bumps * ((3.0 * phi).sin() * theta.sin().powi(3) + 0.5 * (5.0 * theta).cos()));
+            let r = radius
+                * (1.0 + bumps * ((3.0 * phi).sin() * theta.sin().powi(3) + 0.5 * (5.0 * theta).cos()));
             let d = Vec3::new(theta.sin() * phi.cos(), theta.cos(), theta.sin() * phi.sin());
             out.vertices.push(centre + d * r);
         }
