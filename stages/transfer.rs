@@ -1,3 +1,38 @@
-//! Stage `transfer`.
+//! Stage `transfer`: what each source sends to each receiver vertex.
 
-fn main() {}
+use insitu::artefact::json;
+use insitu::calibrate::Cameras;
+use insitu::error::Context;
+use insitu::shadow::Receivers;
+use insitu::{illuminate, transfer};
+
+fn main() -> std::process::ExitCode {
+    insitu::cli::stage_main("transfer", |ctx| {
+        let cameras: Cameras = json::read(&ctx.artefact("calibrate", "cameras.json")?)?;
+        let folder = ctx.artefact("illuminate", "patches.ply")?.with_file_name("");
+        ctx.artefact("illuminate", "distant.json")?;
+        let light = illuminate::read_light(&folder)?;
+
+        let receivers = Receivers::cast(cameras.plate_camera(), &light.mesh);
+        let seen = receivers.pixels.pixels().iter().flatten().count();
+        let pixels = receivers.pixels.pixels().len();
+        if seen < pixels {
+            let share = 100.0 * (pixels - seen) as f64 / pixels as f64;
+            ctx.warn(format!("{share:.1} % of the plate's pixels see no part of the model and get no shadow"));
+        }
+
+        let lights = light.mesh.patches.len() + light.distant.len();
+        let bar = ctx.printer.progress("radiance transfers", lights as u64);
+        let transfers = transfer::solve(&light, &receivers, &ctx.pipeline.transfer, || bar.inc(1))
+            .doing("finding what light reaches the plate's surfaces")?;
+        bar.finish_and_clear();
+
+        ctx.figure("sources", transfers.sources.len());
+        ctx.figure("sources_left_out", transfers.left_out);
+        ctx.figure("left_out_share", transfers.left_out_share);
+        ctx.figure("strongest_source_share", transfers.sources.first().map_or(0.0, |s| s.power_share));
+        ctx.figure("receiver_patches", transfers.receiver_patches.len());
+        ctx.figure("receiver_vertices", transfers.receiver_vertices.len());
+        transfers.write(&ctx.output(""))
+    })
+}
