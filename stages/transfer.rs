@@ -18,7 +18,9 @@ fn main() -> std::process::ExitCode {
         let pixels = receivers.pixels.pixels().len();
         if seen < pixels {
             let share = 100.0 * (pixels - seen) as f64 / pixels as f64;
-            ctx.warn(format!("{share:.1} % of the plate's pixels see no part of the model and get no shadow"));
+            ctx.warn(format!(
+                "{share:.1} % of the plate's pixels see no part of the model and get no shadow"
+            ));
         }
 
         let lights = light.mesh.patches.len() + light.distant.len();
