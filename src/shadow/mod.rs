@@ -19,10 +19,12 @@ use glam::Vec3;
 
 pub use projection::{Bounds, MapPlan, Projection, ShadowOrigin, plan};
 pub use radiance_transfer::RadianceTransfer;
+#[cfg(test)]
+pub(crate) use raster::{DEPTH_BIAS, STEEPEST};
 pub use raster::{ShadowMap, rasterise};
 pub use raytraced::raytraced;
 pub use receivers::{Receiver, Receivers};
-pub(crate) use tiles::{Pixel, Prepared};
+pub(crate) use tiles::Pixel;
 
 /// The synthetic object as light sees it, in the world.
 #[derive(Debug, Clone, Default, PartialEq)]

@@ -142,9 +142,11 @@ pub struct MapPlan {
 
 /// Most times that a patch is split into four origins.
 const MOST_SPLITS: u32 = 3;
+/// A part that sends less than this share of all light is not split: the steps of its shadow are below what shows.
+const SPLIT_SHARE: f64 = 1e-3;
 
-/// The maps of the first `count` sources for an occluder. A patch that the object sees under more than `max_angle`
-/// rad is cut into four, sixteen, … origins: one hard shadow would be too coarse a penumbra.
+/// The maps of some sources for an occluder. A strong patch that the object sees under more than `max_angle` rad is
+/// cut into four, sixteen, … origins: one hard shadow would be too coarse a penumbra.
 pub fn plan(
     light: &LightModel,
     sources: &[Source],
@@ -160,7 +162,7 @@ pub fn plan(
             SourceKind::Patch(p) => {
                 let corners = light.mesh.corners(p as usize);
                 let lift = light.mesh.normal(p as usize) * 1e-4;
-                let splits = splits(corners, &bounds, max_angle);
+                let splits = splits(corners, &bounds, max_angle, source.power_share);
                 let weight = 0.25f32.powi(splits as i32);
                 centroids(corners, splits, &mut |c| add(ShadowOrigin::Point(c + lift), weight));
             }
@@ -172,11 +174,13 @@ pub fn plan(
     plans
 }
 
-fn splits([a, b, c]: [Vec3; 3], bounds: &Bounds, max_angle: f32) -> u32 {
+fn splits([a, b, c]: [Vec3; 3], bounds: &Bounds, max_angle: f32, power_share: f64) -> u32 {
     let edge = a.distance(b).max(b.distance(c)).max(c.distance(a));
     let distance = ((a + b + c) / 3.0).distance(bounds.centre.clamp(bounds.min, bounds.max));
     let angle = edge / distance.max(edge * 1e-2);
-    ((angle / max_angle).log2().ceil().max(0.0) as u32).min(MOST_SPLITS)
+    let by_angle = (angle / max_angle).log2().ceil().max(0.0) as u32;
+    let by_power = ((power_share / SPLIT_SHARE).log2() / 2.0).ceil().max(0.0) as u32;
+    by_angle.min(by_power).min(MOST_SPLITS)
 }
 
 fn centroids([a, b, c]: [Vec3; 3], splits: u32, visit: &mut impl FnMut(Vec3)) {

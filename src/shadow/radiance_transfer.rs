@@ -2,7 +2,7 @@
 
 use super::projection::{MapPlan, ShadowOrigin, plan};
 use super::raster::{ShadowMap, rasterise};
-use super::tiles::{Pixel, Prepared};
+use super::tiles::{Pixel, Prepared, Tile};
 use super::{Occluder, Problem, Removed, Scene};
 use crate::config::Render;
 use crate::illuminate::patch::LightModel;
@@ -58,9 +58,46 @@ impl RadianceTransfer {
     /// ε for an object.
     pub fn removed_radiance(&self, occluder: &Occluder) -> Result<Removed, Problem> {
         occluder.check()?;
-        let plans = plan(&self.light, &self.sources, occluder, self.size, self.max_angle);
+        let plans = self.plan(occluder);
+        let all: Vec<&MapPlan> = plans.iter().collect();
+        let blocked = vec![[0.0f32; 3]; self.prepared.pixels.len()];
+        Ok(self.finish(occluder, &all, blocked, plans.len()))
+    }
+
+    /// The shadow maps of an object, for those sources that are not too near for one.
+    pub fn shadow_maps(&self, occluder: &Occluder) -> Result<Vec<ShadowMap>, Problem> {
+        occluder.check()?;
+        let plans = self.plan(occluder);
+        let projections: Vec<_> = plans.iter().filter_map(|p| p.projection).collect();
+        Ok(projections.par_iter().map(|p| rasterise(p, occluder, self.size)).collect())
+    }
+
+    /// The maps of a frame: those that can shadow a receiver which their source lights.
+    pub(crate) fn plan(&self, occluder: &Occluder) -> Vec<MapPlan> {
+        let mut plans = plan(&self.light, &self.sources, occluder, self.size, self.max_angle);
+        let needed: Vec<bool> = plans.par_iter().map(|p| self.tiles_of(p).next().is_some()).collect();
+        let mut needed = needed.into_iter();
+        plans.retain(|_| needed.next().unwrap_or(true));
+        plans
+    }
+
+    /// Tiles that a map can shadow, by their number.
+    fn tiles_of<'a>(&'a self, plan: &'a MapPlan) -> impl Iterator<Item = usize> + 'a {
+        let row = self.transfer.row(plan.source as usize);
+        let lit = move |tile: &Tile| tile.columns.iter().any(|&column| row[column as usize] > 0.0);
+        let tiles = self.prepared.tiles.iter().enumerate();
+        tiles.filter(move |(_, t)| plan.may_shadow(t.centre, t.radius) && lit(t)).map(|(i, _)| i)
+    }
+
+    /// Adds what the given maps block to what others have, and makes ε of it.
+    pub(crate) fn finish(
+        &self,
+        occluder: &Occluder,
+        plans: &[&MapPlan],
+        mut blocked: Vec<[f32; 3]>,
+        shadow_maps: usize,
+    ) -> Removed {
         let bvh = Bvh::new(&occluder.vertices, &occluder.triangles);
-        let mut blocked = vec![[0.0f32; 3]; self.prepared.pixels.len()];
         let batch = (BATCH_BYTES / (4 * self.size * self.size)).max(1);
         for plans in plans.chunks(batch) {
             let masks: Vec<Mask> = plans
@@ -72,18 +109,38 @@ impl RadianceTransfer {
                 .collect();
             self.add(plans, &masks, &bvh, &mut blocked);
         }
-        Ok(Removed {
+        Removed {
             epsilon: self.prepared.epsilon(&blocked),
             noise: None,
             sources_used: self.sources.len(),
-            shadow_maps: plans.len(),
+            shadow_maps,
             left_out_share: self.left_out_share,
-        })
+        }
+    }
+
+    /// Side of a shadow map, texels.
+    pub(crate) fn map_px(&self) -> usize {
+        self.size
+    }
+
+    /// [sources × receiver vertices], sr.
+    pub(crate) fn transfer(&self) -> &Array2<f32> {
+        &self.transfer
+    }
+
+    /// Receiver pixels, in the order of what is blocked.
+    pub(crate) fn pixels(&self) -> &[Pixel] {
+        &self.prepared.pixels
+    }
+
+    /// Radiance of a map's source, times the map's share of it.
+    pub(crate) fn map_radiance(&self, plan: &MapPlan) -> [f32; 3] {
+        self.radiance[plan.source as usize].map(|c| c * plan.weight)
     }
 
     /// Adds what some maps block. Every pixel belongs to one tile and takes the maps in order: the same sum for any
     /// number of threads.
-    fn add(&self, plans: &[MapPlan], masks: &[Mask], bvh: &Bvh, blocked: &mut [[f32; 3]]) {
+    fn add(&self, plans: &[&MapPlan], masks: &[Mask], bvh: &Bvh, blocked: &mut [[f32; 3]]) {
         let mut parts = Vec::with_capacity(self.prepared.tiles.len());
         let mut rest = blocked;
         for tile in &self.prepared.tiles {
@@ -99,7 +156,7 @@ impl RadianceTransfer {
                 }
                 let row = self.transfer.row(plan.source as usize);
                 let Some(row) = row.as_slice() else { continue };
-                let radiance = self.radiance[plan.source as usize].map(|c| c * plan.weight);
+                let radiance = self.map_radiance(plan);
                 for (pixel, sum) in pixels.iter().zip(&mut *blocked) {
                     let share = mask.blocked(pixel, bvh);
                     if share > 0.0 {

@@ -1,8 +1,9 @@
 //! The reference: stratified rays from every pixel.
 //!
-//! ε = B · E_blocked / E, with E_blocked = Σ_j L_j ∫ V_scene (1 − V_object) cos θ cos θ′ / r² dA over the sources and
-//! E the same integral without the object, from the same samples, plus the interpolated irradiance of light outside
-//! the source set. Neither the interpolation of transfers between vertices nor the shadow maps enter.
+//! ε = B · E_blocked / E, with E_blocked = Σ_j L_j ∫ V_scene (1 − V_object) cos θ cos θ′ / r² dA over the sources that
+//! the object's bounding sphere can hide from the pixel at all, and E the same integral without the object, from the same
+//! samples, plus the interpolated irradiance of all other light. Neither the interpolation of the blocked transfers
+//! between vertices nor shadow maps enter.
 
 use super::tiles::{Pixel, Prepared};
 use super::{Bounds, Occluder, Problem, Removed, Scene};
@@ -22,8 +23,6 @@ struct Tracer<'a> {
     lights: Vec<Light>,
     /// Luminance that source j sends to vertex v, [v][j]: sampling weights.
     weights: Vec<Vec<f32>>,
-    /// Irradiance from light outside the sources, by vertex.
-    rest: Vec<[f32; 3]>,
     scene: Bvh,
     object: Bvh,
     bounds: Bounds,
@@ -31,7 +30,7 @@ struct Tracer<'a> {
 }
 
 enum Shape {
-    Patch { corners: [Vec3; 3], normal: Vec3, area: f32 },
+    Patch { corners: [Vec3; 3], normal: Vec3, area: f32, centroid: Vec3, radius: f32 },
     Distant { direction: Vec3, solid_angle: f32, angular_radius: f32 },
 }
 
@@ -79,9 +78,9 @@ pub fn raytraced(scene: &Scene, occluder: &Occluder, settings: &Render) -> Resul
         let mean = std::array::from_fn(|c| (a.0[c] + b.0[c]) / 2.0);
         epsilon[index] = Radiance(mean);
         if luminance(mean) > 0.02 * prepared.plate.pixels()[index].luminance() {
-            for c in 0..3 {
+            for (c, m) in mean.iter().enumerate() {
                 error += f64::from((a.0[c] - b.0[c]) / 2.0).powi(2);
-                signal += f64::from(mean[c]).powi(2);
+                signal += f64::from(*m).powi(2);
             }
         }
     }
@@ -102,7 +101,9 @@ impl<'a> Tracer<'a> {
         let shape = |kind| match kind {
             SourceKind::Patch(i) => {
                 let i = i as usize;
-                Shape::Patch { corners: mesh.corners(i), normal: mesh.normal(i), area: mesh.area(i) }
+                let (corners, centroid) = (mesh.corners(i), mesh.centroid(i));
+                let radius = corners.iter().map(|c| c.distance(centroid)).fold(0.0, f32::max);
+                Shape::Patch { corners, normal: mesh.normal(i), area: mesh.area(i), centroid, radius }
             }
             SourceKind::Distant(i) => {
                 let d = &scene.light.distant[i as usize];
@@ -114,26 +115,15 @@ impl<'a> Tracer<'a> {
             .iter()
             .map(|s| Light { shape: shape(s.kind), radiance: s.radiance(scene.light) })
             .collect();
-        let (transfer, irradiance) = (&scene.transfers.transfer, &scene.transfers.irradiance);
-        let vertices = 0..irradiance.nrows();
-        let weights = vertices
-            .clone()
+        let transfer = &scene.transfers.transfer;
+        let weights = (0..transfer.ncols())
             .map(|v| {
                 lights.iter().enumerate().map(|(j, l)| luminance(l.radiance) * transfer[(j, v)]).collect()
-            })
-            .collect();
-        let rest = vertices
-            .map(|v| {
-                std::array::from_fn(|c| {
-                    let set = (0..lights.len()).map(|j| f64::from(lights[j].radiance[c] * transfer[(j, v)]));
-                    (f64::from(irradiance[(v, c)]) - set.sum::<f64>()).max(0.0) as f32
-                })
             })
             .collect();
         Self {
             lights,
             weights,
-            rest,
             scene: Bvh::new(&mesh.vertices, &mesh.triangles()),
             object: Bvh::new(&occluder.vertices, &occluder.triangles),
             bounds: Bounds::of(occluder),
@@ -148,7 +138,7 @@ impl<'a> Tracer<'a> {
         plate: Radiance,
         (weights, samples): &mut (Vec<f32>, Vec<Sample>),
     ) -> [Radiance; 2] {
-        let total = self.pixel_weights(pixel, weights);
+        let (total, rest) = self.pixel_weights(pixel, weights);
         if total <= 0.0 {
             return [Radiance::default(); 2];
         }
@@ -157,10 +147,6 @@ impl<'a> Tracer<'a> {
             return [Radiance::default(); 2];
         }
         let from = pixel.position + pixel.normal * OFFSET_M;
-        let mut rest = [0.0f64; 3];
-        for (weight, column) in pixel.barycentric.iter().zip(pixel.columns) {
-            (0..3).for_each(|c| rest[c] += f64::from(weight * self.rest[column as usize][c]));
-        }
         let (mut all, mut blocked) = ([[0.0f64; 3]; 2], [[0.0f64; 3]; 2]);
         for (i, sample) in samples.iter().enumerate() {
             if sample.irradiance == [0.0; 3] || hidden(&self.scene, from, sample) {
@@ -181,13 +167,44 @@ impl<'a> Tracer<'a> {
         })
     }
 
-    /// What each source sends to the pixel by the interpolated transfers; gives the sum.
-    fn pixel_weights(&self, pixel: &Pixel, weights: &mut Vec<f32>) -> f64 {
+    /// What each source that the object could hide sends to the pixel by the interpolated transfers; gives their sum
+    /// (luminance) and the irradiance from all other light.
+    fn pixel_weights(&self, pixel: &Pixel, weights: &mut Vec<f32>) -> (f64, [f64; 3]) {
         let [a, b, c] = pixel.columns.map(|column| &self.weights[column as usize]);
         let [wa, wb, wc] = pixel.barycentric.map(|w| w.max(0.0));
         weights.clear();
-        weights.extend(a.iter().zip(b).zip(c).map(|((a, b), c)| a * wa + b * wb + c * wc));
-        weights.iter().map(|&w| f64::from(w)).sum()
+        let (mut total, mut rest) = (0.0, pixel.irradiance.map(f64::from));
+        for (light, ((a, b), c)) in self.lights.iter().zip(a.iter().zip(b).zip(c)) {
+            let mut weight = a * wa + b * wb + c * wc;
+            if weight > 0.0 && !self.can_hide(light, pixel.position) {
+                weight = 0.0;
+            }
+            if weight > 0.0 {
+                total += f64::from(weight);
+                let luminance = f64::from(luminance(light.radiance));
+                (0..3).for_each(|k| rest[k] -= f64::from(weight) * f64::from(light.radiance[k]) / luminance);
+            }
+            weights.push(weight);
+        }
+        (total, rest.map(|c| c.max(0.0)))
+    }
+
+    /// Whether the bounding spheres of object and source overlap as seen from `x`.
+    fn can_hide(&self, light: &Light, x: Vec3) -> bool {
+        let cap = |v: Vec3, radius: f32| {
+            let distance = v.length();
+            (v / distance, (radius / distance).min(1.0), distance > radius)
+        };
+        let (object, sine, outside) = cap(self.bounds.centre - x, self.bounds.radius);
+        let (source, sine_source, outside_source) = match &light.shape {
+            Shape::Patch { centroid, radius, .. } => cap(*centroid - x, *radius),
+            Shape::Distant { direction, angular_radius, .. } => {
+                (*direction, angular_radius.sin(), *angular_radius < std::f32::consts::FRAC_PI_2)
+            }
+        };
+        let cosine = |sine: f32| (1.0 - sine * sine).sqrt();
+        let (p, q) = (cosine(sine), cosine(sine_source));
+        !outside || !outside_source || object.dot(source) >= p * q - sine * sine_source - 1e-4
     }
 
     /// Samples in proportion to the weights, stratified over their cumulative sum.
@@ -221,7 +238,7 @@ impl<'a> Tracer<'a> {
         let light = &self.lights[j];
         let u = shift.point(i);
         let (kernel, target, distant) = match &light.shape {
-            Shape::Patch { corners, normal, area } => {
+            Shape::Patch { corners, normal, area, .. } => {
                 let y = on_triangle(*corners, u);
                 let w = y - from;
                 let (cosine, cosine_source) = (w.dot(pixel.normal), -w.dot(*normal));

@@ -29,6 +29,8 @@ pub(crate) struct Tile {
     pub pixels: std::ops::Range<usize>,
     pub centre: Vec3,
     pub radius: f32,
+    /// Columns of the transfers that its pixels use, ascending.
+    pub columns: Vec<u32>,
 }
 
 /// All receiver pixels, tile by tile.
@@ -112,8 +114,8 @@ fn pixel(
     }
     let mut irradiance = [0.0; 3];
     for (weight, column) in receiver.barycentric.iter().zip(columns) {
-        for c in 0..3 {
-            irradiance[c] += weight * scene.transfers.irradiance[(column as usize, c)];
+        for (c, sum) in irradiance.iter_mut().enumerate() {
+            *sum += weight * scene.transfers.irradiance[(column as usize, c)];
         }
     }
     Ok(Some(Pixel {
@@ -132,5 +134,8 @@ fn tile(pixels: &[Pixel], start: usize) -> Option<Tile> {
     let max = members.iter().map(|p| p.position).reduce(Vec3::max)?;
     let centre = (min + max) / 2.0;
     let radius = members.iter().map(|p| p.position.distance(centre)).fold(0.0, f32::max);
-    Some(Tile { pixels: start..pixels.len(), centre, radius })
+    let mut columns: Vec<u32> = members.iter().flat_map(|p| p.columns).collect();
+    columns.sort_unstable();
+    columns.dedup();
+    Some(Tile { columns, pixels: start..pixels.len(), centre, radius })
 }

@@ -1,0 +1,155 @@
+//! Radiance transfers against closed forms, and the hard cases of the source set.
+
+mod room;
+
+use glam::Vec3;
+use insitu::config::Transfer;
+use insitu::illuminate::patch::{DistantSource, LightModel};
+use insitu::shadow::Receivers;
+use insitu::transfer::{Problem, Transfers, form_factor, solve};
+use room::{camera, face};
+
+fn all() -> Transfer {
+    Transfer { source_share: 1.0, ..Default::default() }
+}
+
+fn solved(light: &LightModel, settings: &Transfer) -> Result<Transfers, Problem> {
+    let camera = camera([0.1, 1.0, 0.1], [0.0, 0.0, 0.0], 24, 18, 24.0);
+    solve(light, &Receivers::cast(&camera, &light.mesh), settings, || {})
+}
+
+fn floor(edge: f32) -> LightModel {
+    let mut light = LightModel::default();
+    face(&mut light.mesh, Vec3::new(-1.0, 0.0, -1.0), Vec3::Z * 2.0, Vec3::X * 2.0, edge, |_| [0.0; 3]);
+    light
+}
+
+#[test]
+fn one_patch_sends_its_form_factor() {
+    let mut light = floor(1.0);
+    let lamp = [Vec3::new(-0.3, 2.0, -0.3), Vec3::X * 0.6, Vec3::Z * 0.6];
+    face(&mut light.mesh, lamp[0], lamp[1], lamp[2], 0.6, |_| [3.0, 2.0, 1.0]);
+    light.mesh.patches.pop();
+    let transfers = solved(&light, &all()).unwrap();
+    assert_eq!(transfers.sources.len(), 1);
+    let corners = light.mesh.corners(light.mesh.patches.len() - 1);
+    for (column, &vertex) in transfers.receiver_vertices.iter().enumerate() {
+        let exact = form_factor::polygon(light.mesh.vertices[vertex as usize], Vec3::Y, &corners);
+        let found = transfers.transfer[(0, column)];
+        assert!((found / (std::f32::consts::PI * exact) - 1.0).abs() < 0.02, "{found}, {exact}");
+        assert!((transfers.irradiance[(column, 0)] - 3.0 * found).abs() < 1e-5);
+    }
+}
+
+#[test]
+fn a_closed_room_of_one_radiance_gives_pi_everywhere() {
+    let mut light = room::room(0.25);
+    light.mesh.patches.iter_mut().for_each(|p| p.radiance = [1.0; 3]);
+    let transfers = solved(&light, &all()).unwrap();
+    for e in transfers.irradiance.iter() {
+        assert!((e / std::f32::consts::PI - 1.0).abs() < 0.02, "irradiance {e} in a furnace");
+    }
+}
+
+#[test]
+fn radiance_over_twelve_decades_keeps_the_faint() {
+    let mut light = floor(1.0);
+    face(&mut light.mesh, Vec3::new(-1.0, 2.0, -1.0), Vec3::X, Vec3::Z * 2.0, 2.0, |_| [1e6; 3]);
+    face(&mut light.mesh, Vec3::new(0.0, 2.0, -1.0), Vec3::X, Vec3::Z * 2.0, 2.0, |_| [1e-6; 3]);
+    let transfers = solved(&light, &all()).unwrap();
+    assert_eq!(transfers.sources.len(), 4, "all of the source set when all is asked for");
+    assert!(transfers.sources[3].power_share > 0.0 && transfers.sources[3].power_share < 1e-11);
+    assert!(transfers.transfer.iter().chain(&transfers.irradiance).all(|v| v.is_finite()));
+    let strong = solved(&light, &Transfer::default()).unwrap();
+    assert!(strong.sources.len() == 2 && strong.left_out == 2 && strong.left_out_share < 1e-11);
+}
+
+#[test]
+fn twenty_thousand_patches_are_solved() {
+    let mut light = floor(1.0);
+    let ceiling = Vec3::new(-2.0, 2.5, -2.0);
+    face(&mut light.mesh, ceiling, Vec3::X * 4.0, Vec3::Z * 4.0, 0.04, |_| [1.0; 3]);
+    assert!(light.mesh.patches.len() > 20_000);
+    let transfers = solved(&light, &all()).unwrap();
+    // The ceiling as one rectangle.
+    let whole = [(-2.0, -2.0), (2.0, -2.0), (2.0, 2.0), (-2.0, 2.0)].map(|(x, z)| Vec3::new(x, 2.5, z));
+    for (column, &vertex) in transfers.receiver_vertices.iter().enumerate() {
+        let f = form_factor::polygon(light.mesh.vertices[vertex as usize], Vec3::Y, &whole);
+        let found = transfers.irradiance[(column, 0)] / std::f32::consts::PI;
+        assert!((found / f - 1.0).abs() < 0.02, "{found} summed, {f} as a whole");
+    }
+}
+
+#[test]
+fn the_rest_is_reported() {
+    let light = room::room(0.4);
+    let (part, whole) = (solved(&light, &Transfer::default()).unwrap(), solved(&light, &all()).unwrap());
+    assert!(part.left_out_share <= 0.3 && part.left_out > 0);
+    assert_eq!(part.left_out + part.sources.len(), whole.sources.len());
+    let kept: f64 = part.sources.iter().map(|s| s.power_share).sum();
+    assert!((kept + part.left_out_share - 1.0).abs() < 1e-9);
+    assert!(part.sources.is_sorted_by(|a, b| a.power_share >= b.power_share));
+    assert_eq!(part.irradiance, whole.irradiance, "all light counts in the irradiance");
+}
+
+#[test]
+fn distant_light_is_shadowed_by_the_scene() {
+    let mut light = floor(0.5);
+    let direction = Vec3::new(0.0, 1.0, 0.0);
+    light.distant.push(DistantSource { direction, solid_angle_sr: 1e-3, radiance: [100.0; 3] });
+    let open = solved(&light, &all()).unwrap();
+    assert!(open.transfer.iter().all(|&g| (g - 1e-3).abs() < 1e-6));
+    // A roof over the half x < 0.
+    face(&mut light.mesh, Vec3::new(-2.0, 2.0, -2.0), Vec3::X * 1.9, Vec3::Z * 4.0, 4.0, |_| [0.0; 3]);
+    let roofed = solved(&light, &all()).unwrap();
+    for (column, &vertex) in roofed.receiver_vertices.iter().enumerate() {
+        let expected = if light.mesh.vertices[vertex as usize].x < -0.2 { 0.0 } else { 1e-3 };
+        assert!((roofed.transfer[(0, column)] - expected).abs() < 1e-6);
+    }
+}
+
+#[test]
+fn what_cannot_be_solved_is_refused() {
+    let refuse = |light: &LightModel, settings: &Transfer| solved(light, settings).unwrap_err().to_string();
+    assert!(refuse(&floor(1.0), &all()).starts_with("none of 8 light sources reaches"));
+    let lit = room::room(1.0);
+    assert_eq!(
+        refuse(&lit, &Transfer { source_share: 1.5, ..all() }),
+        "source_share is 1.5, which is not above 0 and at most 1"
+    );
+    assert_eq!(refuse(&lit, &Transfer { rays: 0, ..all() }), "rays is 0");
+    assert!(refuse(&LightModel::default(), &all()).contains("sees none of the model's 0 patches"));
+    let mut broken = lit.clone();
+    broken.mesh.patches[3].radiance[1] = f32::NAN;
+    assert!(refuse(&broken, &all()).starts_with("patch 3 has radiance"));
+}
+
+/// Not a test: `cargo test --release --test transfer -- --ignored --nocapture` prints times.
+#[test]
+#[ignore]
+fn times() {
+    let clock = std::time::Instant::now();
+    let stage = room::stage(0.2, 800, 0.7);
+    let (sources, vertices) = stage.transfers.transfer.dim();
+    println!(
+        "{} patches, {vertices} receiver vertices, {sources} sources: {:?}",
+        stage.light.mesh.patches.len(),
+        clock.elapsed()
+    );
+    let object = room::blob(Vec3::new(0.0, 0.17, 0.0), 0.15, 0.15, 32);
+    for max_sources in [64, 0] {
+        let settings = insitu::config::Render { max_sources, ..Default::default() };
+        let cpu = insitu::shadow::RadianceTransfer::prepare(&stage.scene(), &settings).unwrap();
+        for _ in 0..2 {
+            let clock = std::time::Instant::now();
+            let maps = cpu.removed_radiance(&object).unwrap().shadow_maps;
+            println!("CPU, {maps} maps: {:?}", clock.elapsed());
+        }
+        let Ok(gpu) = insitu::gpu::RadianceTransfer::prepare(&stage.scene(), &settings) else { continue };
+        for _ in 0..2 {
+            let clock = std::time::Instant::now();
+            let maps = gpu.removed_radiance(&object).unwrap().shadow_maps;
+            println!("{}, {maps} maps: {:?}", gpu.adapter(), clock.elapsed());
+        }
+    }
+}
