@@ -109,10 +109,10 @@ settings! {
     Response {
         /// Which exposures to fit on.
         role: Role = Role::Brackets,
-        /// Sample positions.
-        samples: usize = 400,
-        /// Weight λ of the second differences against one sample.
-        smoothness: f64 = 20.0,
+        /// Sample positions in each channel.
+        samples: usize = 1000,
+        /// Weight λ of the squared second differences of ln exposure, where the samples' mean weight is 1 a level.
+        smoothness: f64 = 1000.0,
     }
 }
 

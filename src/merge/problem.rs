@@ -1,0 +1,36 @@
+//! Why frames cannot be merged.
+
+/// Why frames cannot be merged.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum Problem {
+    /// There is nothing to merge.
+    #[error("there is no frame")]
+    NoFrame,
+    /// The frames differ in size.
+    #[error("frame {frame} is {}×{} px, the first {}×{} px", size.0, size.1, first.0, first.1)]
+    Sizes {
+        /// Which frame, from 1.
+        frame: usize,
+        /// Its size, px.
+        size: (usize, usize),
+        /// Size of the first, px.
+        first: (usize, usize),
+    },
+    /// An exposure is no positive number.
+    #[error("an exposure is {exposure}")]
+    Exposure {
+        /// Its value.
+        exposure: f64,
+    },
+}
+
+impl crate::error::Problem for Problem {
+    fn hint(&self) -> String {
+        match self {
+            Self::NoFrame => "give the role `brackets` or `plate` a photograph",
+            Self::Sizes { .. } => "use photographs of one size, neither cropped nor scaled",
+            Self::Exposure { .. } => "state the exposure time in [[ingest.exposure]]",
+        }
+        .into()
+    }
+}

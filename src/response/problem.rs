@@ -1,0 +1,97 @@
+//! Why a response cannot be told from brackets.
+
+use super::channel_name;
+
+/// Why a response cannot be told from brackets.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum Problem {
+    /// The exposures do not differ.
+    #[error("{frames} frames have {distinct} distinct exposure, at least 2 are needed")]
+    OneExposure {
+        /// Count of frames.
+        frames: usize,
+        /// Count of exposures more than 1 % apart.
+        distinct: usize,
+    },
+    /// The frames differ in size.
+    #[error("frame {frame} is {}×{} px, the first {}×{} px", size.0, size.1, first.0, first.1)]
+    Sizes {
+        /// Which frame, from 1.
+        frame: usize,
+        /// Its size, px.
+        size: (usize, usize),
+        /// Size of the first, px.
+        first: (usize, usize),
+    },
+    /// An exposure is no positive number.
+    #[error("frame {frame} has the exposure {exposure}")]
+    Exposure {
+        /// Which frame, from 1.
+        frame: usize,
+        /// Its exposure.
+        exposure: f64,
+    },
+    /// Hardly any place is well exposed twice.
+    #[error(
+        "channel {}: {usable} of {places} places are well exposed in two frames, at least {needed} are needed \
+         ({:.0} % of their exposures are clipped, {:.0} % black)",
+        channel_name(*channel), clipped * 100.0, dark * 100.0
+    )]
+    TooFew {
+        /// Channel, from 0.
+        channel: usize,
+        /// Places that could be used.
+        usable: usize,
+        /// Places looked at.
+        places: usize,
+        /// Places needed.
+        needed: usize,
+        /// Share of clipped exposures.
+        clipped: f64,
+        /// Share of black exposures.
+        dark: f64,
+    },
+    /// The curve is not determined by the data.
+    #[error(
+        "channel {}: standard error of {stops:.2} stops at code {level}, at most {limit:.2} is allowed \
+         (condition number {condition:.1e})",
+        channel_name(*channel)
+    )]
+    Undetermined {
+        /// Channel, from 0.
+        channel: usize,
+        /// The worst level.
+        level: usize,
+        /// Its standard error, stops.
+        stops: f64,
+        /// What is allowed, stops.
+        limit: f64,
+        /// Condition number of the normal equations.
+        condition: f64,
+    },
+    /// A stored curve is not one.
+    #[error("channel {}: {levels} levels that do not rise throughout", channel_name(*channel))]
+    NotACurve {
+        /// Channel, from 0.
+        channel: usize,
+        /// Count of levels.
+        levels: usize,
+    },
+}
+
+impl crate::error::Problem for Problem {
+    fn hint(&self) -> String {
+        match self {
+            Self::OneExposure { .. } => {
+                "photograph the view with exposure times one or two stops apart, or state the times in [[ingest.exposure]]"
+            }
+            Self::Sizes { .. } => "use photographs of one size, neither cropped nor scaled",
+            Self::Exposure { .. } => "state the exposure time in [[ingest.exposure]]",
+            Self::TooFew { clipped, dark, .. } if clipped > dark => "add shorter exposures",
+            Self::TooFew { .. } => "add longer exposures",
+            Self::Undetermined { .. } => "add exposures in between, one or two stops apart",
+            Self::NotACurve { .. } => crate::artefact::REMAKE,
+        }
+        .into()
+    }
+}
