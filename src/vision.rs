@@ -1,1 +1,260 @@
-//! To be written.
+//! OpenCV, and nothing but OpenCV: chessboard corners, lens calibration, poses of a plane.
+//!
+//! OpenCV counts pixel centres as integers; the shift by half a pixel is made here and nowhere else.
+
+use crate::camera::Intrinsics;
+use crate::image::Image;
+use nalgebra::{Isometry3, Point2, Translation3, UnitQuaternion, Vector3};
+use opencv::core::{Mat, Point2d, Point2f, Point3d, Point3f, Size, TermCriteria, Vector};
+use opencv::prelude::{MatTraitConst, MatTraitConstManual, VectorToVec};
+use opencv::{calib3d, imgproc};
+
+/// OpenCV failed.
+#[derive(Debug, thiserror::Error)]
+pub enum Problem {
+    /// Its own message.
+    #[error("OpenCV: {0}")]
+    OpenCv(String),
+}
+
+impl crate::error::Problem for Problem {
+    fn hint(&self) -> String {
+        match self {
+            Self::OpenCv(_) => {
+                "check that the grid photographs are sharp and the number of corners is right".into()
+            }
+        }
+    }
+}
+
+impl From<opencv::Error> for Problem {
+    fn from(e: opencv::Error) -> Self {
+        Self::OpenCv(e.message.trim().to_string())
+    }
+}
+
+/// Pixel of an OpenCV coordinate: its pixel centres are integers, ours lie at +0.5.
+const HALF: f64 = 0.5;
+
+/// Inner corners of a chessboard in scan order along its `inner[0]` side, px; `None` if it is not seen whole.
+///
+/// Tried in turn: the sector-based detector (Duda and Frese 2018) on the enlarged picture, with shadows lifted, as it
+/// is; then the classic one with its corners refined by gradients. Enlarging a small picture halves the error.
+pub fn chessboard_corners(image: &Image<u8>, inner: [u32; 2]) -> Result<Option<Vec<Point2<f64>>>, Problem> {
+    let quick = calib3d::CALIB_CB_NORMALIZE_IMAGE | calib3d::CALIB_CB_ACCURACY;
+    let thorough = quick | calib3d::CALIB_CB_EXHAUSTIVE;
+    let pattern = Size::new(inner[0] as i32, inner[1] as i32);
+    let lifted = image.map(|v| (255.0 * (f64::from(*v) / 255.0).sqrt()).round() as u8);
+    let pictures = [matrix(image)?, matrix(&lifted)?];
+    let enlargement = (ENLARGED_PX / image.width().max(image.height()) as f64).round().clamp(1.0, 4.0);
+    let mut corners = Vector::<Point2f>::new();
+    for (enlargement, flags) in [(enlargement, quick), (enlargement, thorough), (1.0, thorough)] {
+        for picture in &pictures {
+            let picture = enlarge(picture, enlargement)?;
+            if calib3d::find_chessboard_corners_sb(&picture, pattern, &mut corners, flags)? {
+                return Ok(Some(points(&corners, enlargement)));
+            }
+        }
+    }
+    let classic = calib3d::CALIB_CB_ADAPTIVE_THRESH | calib3d::CALIB_CB_NORMALIZE_IMAGE;
+    for picture in &pictures {
+        if calib3d::find_chessboard_corners(picture, pattern, &mut corners, classic)? {
+            let window = refinement_window(&corners);
+            let none = Size::new(-1, -1);
+            imgproc::corner_sub_pix(picture, &mut corners, Size::new(window, window), none, stop()?)?;
+            return Ok(Some(points(&corners, 1.0)));
+        }
+    }
+    Ok(None)
+}
+
+/// Length of the longer side to which small pictures are enlarged, px.
+const ENLARGED_PX: f64 = 1920.0;
+
+fn enlarge(picture: &Mat, enlargement: f64) -> Result<Mat, Problem> {
+    let mut out = Mat::default();
+    if enlargement > 1.0 {
+        let size = Size::default();
+        imgproc::resize(picture, &mut out, size, enlargement, enlargement, imgproc::INTER_CUBIC)?;
+    } else {
+        out = picture.clone();
+    }
+    Ok(out)
+}
+
+/// Half a window that holds no second corner.
+fn refinement_window(corners: &Vector<Point2f>) -> i32 {
+    let points = corners.to_vec();
+    let spacing =
+        points.windows(2).map(|p| (p[1].x - p[0].x).hypot(p[1].y - p[0].y)).fold(f32::MAX, f32::min);
+    ((spacing / 2.5) as i32).clamp(1, 11)
+}
+
+fn points(corners: &Vector<Point2f>, enlargement: f64) -> Vec<Point2<f64>> {
+    let ours = |v: f32| (f64::from(v) + HALF) / enlargement;
+    corners.iter().map(|p| Point2::new(ours(p.x), ours(p.y))).collect()
+}
+
+fn matrix(image: &Image<u8>) -> Result<Mat, Problem> {
+    let view = Mat::new_rows_cols_with_data(image.height() as i32, image.width() as i32, image.pixels())?;
+    Ok(view.try_clone()?)
+}
+
+fn stop() -> Result<TermCriteria, Problem> {
+    let count_and_step = opencv::core::TermCriteria_COUNT | opencv::core::TermCriteria_EPS;
+    Ok(TermCriteria::new(count_and_step, 200, 1e-12)?)
+}
+
+/// Corners of a flat board seen in one photograph.
+#[derive(Debug, Clone)]
+pub struct BoardView {
+    /// In the board's plane, m.
+    pub board: Vec<Point2<f64>>,
+    /// In the photograph, px.
+    pub pixels: Vec<Point2<f64>>,
+}
+
+/// What a lens model leaves free; a part that is not free is zero, central, or equal.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct FreeLens {
+    /// Two focal lengths instead of one.
+    pub aspect: bool,
+    /// Principal point off the image centre.
+    pub principal_point: bool,
+    /// k1, k2, k3.
+    pub radial: [bool; 3],
+    /// p1, p2.
+    pub tangential: bool,
+}
+
+impl FreeLens {
+    /// Everything free.
+    pub const ALL: Self = Self { aspect: true, principal_point: true, radial: [true; 3], tangential: true };
+
+    fn flags(self) -> i32 {
+        let when = |fixed: bool, flag: i32| if fixed { flag } else { 0 };
+        when(!self.aspect, calib3d::CALIB_FIX_ASPECT_RATIO)
+            | when(!self.principal_point, calib3d::CALIB_FIX_PRINCIPAL_POINT)
+            | when(!self.radial[0], calib3d::CALIB_FIX_K1)
+            | when(!self.radial[1], calib3d::CALIB_FIX_K2)
+            | when(!self.radial[2], calib3d::CALIB_FIX_K3)
+            | when(!self.tangential, calib3d::CALIB_ZERO_TANGENT_DIST)
+            | calib3d::CALIB_USE_INTRINSIC_GUESS
+    }
+}
+
+/// A calibrated lens, with standard deviations (0 for what was held).
+#[derive(Debug, Clone)]
+pub struct LensFit {
+    /// Inner orientation.
+    pub intrinsics: Intrinsics,
+    /// Of the focal lengths, px.
+    pub focal_sigma_px: [f64; 2],
+    /// Of the principal point, px.
+    pub principal_point_sigma_px: [f64; 2],
+    /// Of k1, k2, p1, p2, k3.
+    pub distortion_sigma: [f64; 5],
+    /// Reprojection error of all corners, rms of their distance, px.
+    pub rms_px: f64,
+    /// The same for each view.
+    pub view_rms_px: Vec<f64>,
+}
+
+/// Fits a lens to views of a board (Zhang 2000). `focal_px` starts the fit.
+pub fn calibrate_lens(
+    views: &[BoardView],
+    width_px: u32,
+    height_px: u32,
+    focal_px: f64,
+    free: FreeLens,
+) -> Result<LensFit, Problem> {
+    let board =
+        views.iter().map(|v| v.board.iter().map(|p| Point3f::new(p.x as f32, p.y as f32, 0.0)).collect());
+    let board: Vector<Vector<Point3f>> = board.collect();
+    let theirs = |p: &Point2<f64>| Point2f::new((p.x - HALF) as f32, (p.y - HALF) as f32);
+    let pixels: Vector<Vector<Point2f>> =
+        views.iter().map(|v| v.pixels.iter().map(theirs).collect()).collect();
+    let start = Intrinsics::pinhole(width_px, height_px, focal_px);
+    let (mut matrix, mut distortion) = (camera_matrix(&start)?, distortion(&start)?);
+    let (mut rotations, mut translations) = (Vector::<Mat>::new(), Vector::<Mat>::new());
+    let (mut sigma, mut view_sigma, mut view_rms) = (Mat::default(), Mat::default(), Mat::default());
+    let size = Size::new(width_px as i32, height_px as i32);
+    let rms_px = calib3d::calibrate_camera_extended(
+        &board,
+        &pixels,
+        size,
+        &mut matrix,
+        &mut distortion,
+        &mut rotations,
+        &mut translations,
+        &mut sigma,
+        &mut view_sigma,
+        &mut view_rms,
+        free.flags(),
+        stop()?,
+    )?;
+    let (k, d, s) = (numbers(&matrix, 9)?, numbers(&distortion, 5)?, numbers(&sigma, 9)?);
+    if !rms_px.is_finite() || k.iter().chain(&d).chain(&s).any(|v| !v.is_finite()) {
+        return Err(Problem::OpenCv("the calibration diverged".into()));
+    }
+    Ok(LensFit {
+        intrinsics: Intrinsics {
+            width_px,
+            height_px,
+            focal_px: [k[0], k[4]],
+            principal_point_px: [k[2] + HALF, k[5] + HALF],
+            distortion: [d[0], d[1], d[2], d[3], d[4]],
+        },
+        focal_sigma_px: [s[0], s[1]],
+        principal_point_sigma_px: [s[2], s[3]],
+        distortion_sigma: [s[4], s[5], s[6], s[7], s[8]],
+        rms_px,
+        view_rms_px: numbers(&view_rms, views.len())?,
+    })
+}
+
+/// The poses that a flat board can have, `camera_from_board`, the better fitting first: infinitesimal plane-based pose
+/// estimation (Collins and Bartoli 2014), which finds both minima of the two-fold ambiguity.
+pub fn planar_poses(view: &BoardView, intrinsics: &Intrinsics) -> Result<Vec<Isometry3<f64>>, Problem> {
+    let board: Vector<Point3d> = view.board.iter().map(|p| Point3d::new(p.x, p.y, 0.0)).collect();
+    let pixels: Vector<Point2d> = view.pixels.iter().map(|p| Point2d::new(p.x - HALF, p.y - HALF)).collect();
+    let (mut rotations, mut translations) = (Vector::<Mat>::new(), Vector::<Mat>::new());
+    calib3d::solve_pnp_generic(
+        &board,
+        &pixels,
+        &camera_matrix(intrinsics)?,
+        &distortion(intrinsics)?,
+        &mut rotations,
+        &mut translations,
+        false,
+        calib3d::SolvePnPMethod::SOLVEPNP_IPPE,
+        &Mat::default(),
+        &Mat::default(),
+        &mut Mat::default(),
+    )?;
+    let mut poses = Vec::new();
+    for (r, t) in rotations.iter().zip(&translations) {
+        let (r, t) = (Vector3::from_vec(numbers(&r, 3)?), Vector3::from_vec(numbers(&t, 3)?));
+        if r.iter().chain(t.iter()).all(|v| v.is_finite()) {
+            poses.push(Isometry3::from_parts(Translation3::from(t), UnitQuaternion::from_scaled_axis(r)));
+        }
+    }
+    Ok(poses)
+}
+
+fn camera_matrix(i: &Intrinsics) -> Result<Mat, Problem> {
+    let [cx, cy] = i.principal_point_px.map(|c| c - HALF);
+    Ok(Mat::from_slice_2d(&[[i.focal_px[0], 0.0, cx], [0.0, i.focal_px[1], cy], [0.0, 0.0, 1.0]])?)
+}
+
+fn distortion(i: &Intrinsics) -> Result<Mat, Problem> {
+    Ok(Mat::from_slice_2d(&[i.distortion])?)
+}
+
+/// The first `n` numbers of a matrix of doubles.
+fn numbers(m: &Mat, n: usize) -> Result<Vec<f64>, Problem> {
+    let data = m.data_typed::<f64>()?;
+    data.get(..n)
+        .map(<[f64]>::to_vec)
+        .ok_or_else(|| Problem::OpenCv(format!("{} numbers instead of {n}", data.len())))
+}

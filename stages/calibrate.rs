@@ -1,3 +1,89 @@
-//! Stage `calibrate`.
+//! Stage `calibrate`: photographs of the grid and marked lines to lens and poses.
 
-fn main() {}
+use insitu::annotations::Annotations;
+use insitu::artefact::json;
+use insitu::calibrate::{self, Cameras, Evidence, Problem};
+use insitu::config::Role;
+use insitu::error::{Context as _, Error, Result};
+use insitu::exposure::{self, Capture, Photo, Photograph};
+use insitu::image::Image;
+use insitu::stage::Context;
+use std::collections::BTreeMap;
+
+fn main() -> std::process::ExitCode {
+    insitu::cli::stage_main("calibrate", |ctx| {
+        let capture: Capture = json::read(&ctx.artefact("ingest", "capture.json")?)?;
+        let settings = &ctx.pipeline.calibrate;
+        let plate = capture.plate()?;
+        let annotations = Annotations::load(ctx)?;
+        let lines = annotations.vanishing_lines.as_ref();
+
+        let here: Vec<&Photo> = std::iter::once(plate)
+            .chain(capture.with_role(Role::Brackets))
+            .chain(capture.with_role(Role::PlateWithGrid))
+            .collect();
+        if let Some(lines) = lines.filter(|lines| here.iter().all(|p| p.file != lines.image)) {
+            let image = lines.image.clone();
+            return Err(Problem::OtherImage { image }).doing("reading the vanishing lines");
+        }
+        let grids = greys(ctx, &capture, plate, capture.with_role(Role::Grid))?;
+        let mut plate_grids = greys(ctx, &capture, plate, capture.with_role(Role::PlateWithGrid))?;
+        if plate_grids.is_empty() {
+            // The grid may lie in the plate itself.
+            plate_grids = greys(ctx, &capture, plate, std::iter::once(plate))?;
+        }
+        let evidence = Evidence {
+            width_px: plate.width_px,
+            height_px: plate.height_px,
+            grids: &grids,
+            plate_grids: &plate_grids,
+            stated_focal_px: capture.approximate_focal_px(plate),
+            lines,
+        };
+        let found = calibrate::solve(&evidence, settings).doing("finding lens and pose of the plate")?;
+
+        found.warnings.iter().for_each(|warning| ctx.warn(warning));
+        let intrinsics = &found.plate.camera.intrinsics;
+        ctx.figure("focal_px", intrinsics.focal_px[0]);
+        ctx.figure("focal_sigma_px", found.focal_sigma_px);
+        ctx.figure("focal_source", found.focal_source);
+        ctx.figure("focal_from_lines_px", found.edges.as_ref().map(|e| e.focal_px));
+        ctx.figure("focal_from_lines_sigma_px", found.edges.as_ref().map(|e| e.covariance[(0, 0)].sqrt()));
+        ctx.figure("principal_point_px", intrinsics.principal_point_px);
+        ctx.figure("distortion", intrinsics.distortion);
+        ctx.figure("lens_rms_px", found.lens.as_ref().map(|l| l.fit.rms_px));
+        ctx.figure("lens_parts_dropped", found.lens.as_ref().map(|l| l.dropped.join(", ")));
+        ctx.figure("rms_px", found.plate.rms_px);
+        ctx.figure("lines_rms_px", found.edge_rms_px);
+        ctx.figure("plate_position_sigma_m", found.plate.position_sigma_m);
+        ctx.figure("plate_rotation_sigma_deg", found.plate.rotation_sigma_rad.map(f64::to_degrees));
+
+        let posed: BTreeMap<_, _> = here.iter().map(|p| (p.file.clone(), found.plate.clone())).collect();
+        let cameras = Cameras::new(plate.file.clone(), posed, found.focal_sigma_px);
+        let cameras = cameras.ok_or_else(|| Error::Bug("the plate has no pose".into()))?;
+        json::write(&ctx.output("cameras.json"), &cameras)
+    })
+}
+
+/// Brightness of photographs; one of another size has another lens and is left out.
+fn greys<'a>(
+    ctx: &Context,
+    capture: &Capture,
+    plate: &Photo,
+    photos: impl Iterator<Item = &'a Photo>,
+) -> Result<Vec<(String, Image<u8>)>> {
+    let mut all = Vec::new();
+    for photo in photos {
+        if (photo.width_px, photo.height_px) != (plate.width_px, plate.height_px) {
+            let (w, h) = (photo.width_px, photo.height_px);
+            ctx.warn(format!("{} is not used: it is {w}×{h} px, not of the plate's size", photo.file));
+            continue;
+        }
+        let grey = match exposure::load(ctx, capture, photo)? {
+            Photograph::Codes(image) => calibrate::grey(&image),
+            Photograph::Linear(image) => calibrate::grey_of_radiance(&image),
+        };
+        all.push((photo.file.clone(), grey));
+    }
+    Ok(all)
+}

@@ -1,3 +1,42 @@
-//! Stage `model`.
+//! Stage `model`: marks to primitives, faces and a glTF scene.
 
-fn main() {}
+use insitu::annotations::Annotations;
+use insitu::artefact::json;
+use insitu::calibrate::Cameras;
+use insitu::camera::Camera;
+use insitu::config::Role;
+use insitu::error::Context as _;
+use insitu::exposure::Capture;
+use insitu::model::{self, Views, gltf, sight::Ball};
+use insitu::probe::ProbeFit;
+use std::collections::BTreeMap;
+
+fn main() -> std::process::ExitCode {
+    insitu::cli::stage_main("model", |ctx| {
+        let capture: Capture = json::read(&ctx.artefact("ingest", "capture.json")?)?;
+        let cameras: Cameras = json::read(&ctx.artefact("calibrate", "cameras.json")?)?;
+        let annotations = Annotations::load(ctx)?;
+        let mut views: BTreeMap<String, Camera> =
+            cameras.cameras.iter().map(|(file, posed)| (file.clone(), posed.camera.clone())).collect();
+        let mut ball = None;
+        if ctx.has_artefact("probe", "probe.json") {
+            let probe: ProbeFit = json::read(&ctx.artefact("probe", "probe.json")?)?;
+            ball = Some(Ball { centre: probe.centre, radius_m: probe.radius_m });
+            // All exposures of the probe were taken from one place.
+            views.extend(capture.with_role(Role::Probe).map(|p| (p.file.clone(), probe.camera.clone())));
+        }
+        let views = Views { cameras: &views, ball, ground_y: -ctx.pipeline.calibrate.thickness_m };
+        let scene =
+            model::fit(&annotations.primitive, &views, &ctx.pipeline.model).doing("fitting the scene")?;
+
+        ctx.figure("rms_px", scene.rms_px);
+        ctx.figure("faces", scene.faces.len());
+        for primitive in &scene.primitives {
+            ctx.figure(&format!("{}_rms_px", primitive.name), primitive.rms_px);
+            ctx.figure(&format!("{}_size_m", primitive.name), &primitive.size_m);
+            ctx.figure(&format!("{}_size_sigma_m", primitive.name), &primitive.size_sigma_m);
+        }
+        json::write(&ctx.output("scene.json"), &scene)?;
+        gltf::write(&ctx.output("scene.glb"), &scene, cameras.plate_camera())
+    })
+}

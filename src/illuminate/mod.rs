@@ -1,3 +1,4 @@
 //! Light on the model.
 
+pub mod mesh;
 pub mod patch;

@@ -1,3 +1,54 @@
-//! The scene model.
+//! The scene model: primitives in a hierarchy, fitted to what a person marked.
 
 pub mod face;
+pub mod gltf;
+pub mod shape;
+pub mod sight;
+
+mod fit;
+mod problem;
+#[cfg(test)]
+mod tests;
+
+pub use face::Face;
+pub use fit::{Views, fit};
+pub use problem::Problem;
+
+use crate::annotations::Kind;
+use crate::artefact::json::JsonArtefact;
+use serde::{Deserialize, Serialize};
+
+/// A primitive in its place.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FittedPrimitive {
+    /// Its name; its faces are called `name` or `name.side`.
+    pub name: String,
+    /// Its shape.
+    pub kind: Kind,
+    /// What it stands or lies on.
+    pub parent: Option<String>,
+    /// Width, height, depth of a box or room; width, height of a quad; m.
+    pub size_m: Vec<f64>,
+    /// Standard deviations of these; 0 for what was given.
+    pub size_sigma_m: Vec<f64>,
+    /// How many marks it has.
+    pub marks: usize,
+    /// Distance of its corners from their marks, rms in px.
+    pub rms_px: f64,
+}
+
+/// The scene model: `model/scene.json`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Scene {
+    /// The primitives, parents before children.
+    pub primitives: Vec<FittedPrimitive>,
+    /// Their faces.
+    pub faces: Vec<Face>,
+    /// Distance of all corners from their marks, rms in px.
+    pub rms_px: f64,
+}
+
+impl JsonArtefact for Scene {
+    const FORMAT: &'static str = "insitu-scene";
+    const VERSION: u32 = 1;
+}

@@ -1,4 +1,105 @@
-//! The light probe.
+//! The light probe: finding the mirror ball and unwrapping what it reflects.
 
+pub mod consistency;
+mod edge;
+pub mod environment;
+pub mod find;
 pub mod latlong;
 pub mod mirror_ball;
+pub mod outline;
+#[cfg(test)]
+pub mod synthetic;
+pub mod unwrap;
+
+use crate::artefact::json::JsonArtefact;
+use crate::camera::Camera;
+use nalgebra::Point3;
+use serde::{Deserialize, Serialize};
+
+pub use environment::Environment;
+
+/// Where the ball is, and how surely.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ProbeFit {
+    /// The view in which the ball was photographed.
+    pub camera: Camera,
+    /// Centre of the ball in the world, m.
+    pub centre: Point3<f64>,
+    /// Radius of the ball, m.
+    pub radius_m: f64,
+    /// Distance of the sub-pixel edges from the outline, rms, px.
+    pub outline_rms_px: f64,
+    /// Share of the outline along which an edge was found.
+    pub outline_support: f64,
+    /// Correlation of the mirrored surface with the surface seen directly.
+    pub mirror_correlation: f64,
+    /// Reflectivity as seen: mirrored over direct luminance of the surface.
+    pub reflectivity_seen: f64,
+    /// Standard deviation of the centre along the support plane's x and z, m.
+    pub centre_sigma_m: [f64; 2],
+    /// Mean diameter of the ball in the picture, px.
+    pub diameter_px: f64,
+}
+
+impl JsonArtefact for ProbeFit {
+    const FORMAT: &'static str = "insitu-probe";
+    const VERSION: u32 = 1;
+}
+
+/// Why a probe cannot be used.
+#[derive(Debug, thiserror::Error, PartialEq)]
+pub enum Problem {
+    /// Nowhere does the picture look like a mirror image of the surface.
+    #[error(
+        "the mirror ball was not found: at the best place its mirror image agrees with the surface by a correlation of {agreement:.2}, {needed:.2} is needed"
+    )]
+    NotFound {
+        /// Correlation at the best place.
+        agreement: f64,
+        /// Correlation that is needed.
+        needed: f64,
+    },
+    /// Part of the ball lies outside the picture.
+    #[error("the mirror ball is cut off by the border of the picture: {:.0} % of its outline lie outside", 100.0 * outside)]
+    CutOff {
+        /// Share of the outline outside the picture.
+        outside: f64,
+    },
+    /// The ball is too small in the picture.
+    #[error("the mirror ball is {diameter_px:.1} px across, at least {needed_px} px are needed")]
+    TooSmall {
+        /// Diameter found, px.
+        diameter_px: f64,
+        /// Diameter needed, px.
+        needed_px: f64,
+    },
+    /// The radius is not a length.
+    #[error("the mirror ball has a radius of {0} m")]
+    Radius(f64),
+    /// The reflectivity is not a share.
+    #[error("the mirror ball has a reflectivity of {0:?}")]
+    Reflectivity([f64; 3]),
+    /// No environment can be that small.
+    #[error("an environment of {0} px width is too small to hold light")]
+    Width(usize),
+    /// The camera cannot look down on the plane the ball stands on.
+    #[error("the camera is {0:.3} m above the plane through the ball's centre: it must look from above")]
+    CameraBelow(f64),
+}
+
+impl crate::error::Problem for Problem {
+    fn hint(&self) -> String {
+        match self {
+            Self::NotFound { .. } => {
+                "check probe.radius_m and probe.support_m, and that grid and ball stand on the same surface"
+            }
+            Self::CutOff { .. } => "use a picture that shows the whole ball",
+            Self::TooSmall { .. } => "go closer, use a longer lens or a larger picture",
+            Self::Radius(_) => "give the ball's radius in metres as probe.radius_m",
+            Self::Reflectivity(_) => "give probe.reflectivity as shares above 0 and up to 1",
+            Self::Width(_) => "set probe.width_px to 16 or more",
+            Self::CameraBelow(_) => "check probe.support_m and the pose of the grid",
+        }
+        .into()
+    }
+}

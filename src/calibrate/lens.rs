@@ -1,0 +1,94 @@
+//! Inner orientation from photographs of the grid, with no more distortion than the data show.
+
+use super::Problem;
+use crate::vision::{self, BoardView, FreeLens, LensFit};
+
+/// A part of the lens model is dropped when it is below this many standard deviations.
+const SIGNIFICANT: f64 = 3.0;
+/// A focal length less certain than this is refused.
+const MAX_RELATIVE_SIGMA: f64 = 0.02;
+/// Views whose corners fit worse than this many times the median are left out.
+const OUTLYING_VIEW: f64 = 4.0;
+
+/// A calibrated lens and what was left out to get it.
+#[derive(Debug, Clone)]
+pub struct Lens {
+    /// The fit.
+    pub fit: LensFit,
+    /// Parts of the lens model found insignificant.
+    pub dropped: Vec<&'static str>,
+    /// Indices of views left out as outliers.
+    pub outliers: Vec<usize>,
+}
+
+/// Fits the whole model, then drops one insignificant part after the other: k3, tangential, k2, k1, the second focal
+/// length, the principal point.
+pub fn fit(
+    views: &[BoardView],
+    width_px: u32,
+    height_px: u32,
+    focal_px: Option<f64>,
+) -> Result<Lens, Problem> {
+    if views.len() < 3 {
+        return Err(Problem::FewGrids { found: views.len() });
+    }
+    let start = focal_px.unwrap_or(f64::from(width_px.max(height_px)));
+    let calibrate =
+        |views: &[BoardView], free| vision::calibrate_lens(views, width_px, height_px, start, free);
+    let mut free = FreeLens::ALL;
+    let mut fit = calibrate(views, free)?;
+    let mut sorted = fit.view_rms_px.clone();
+    sorted.sort_by(f64::total_cmp);
+    let limit = OUTLYING_VIEW * sorted[sorted.len() / 2];
+    let (mut outliers, mut kept) = (Vec::new(), Vec::new());
+    for (k, view) in views.iter().enumerate() {
+        if fit.view_rms_px[k] > limit { outliers.push(k) } else { kept.push(view.clone()) }
+    }
+    if !outliers.is_empty() && kept.len() >= 3 {
+        fit = calibrate(&kept, free)?;
+    } else {
+        (outliers, kept) = (Vec::new(), views.to_vec());
+    }
+    let mut dropped = Vec::new();
+    while let Some((part, simpler)) = insignificant(&fit, free) {
+        dropped.push(part);
+        free = simpler;
+        fit = calibrate(&kept, free)?;
+    }
+    let relative = fit.focal_sigma_px[0].max(fit.focal_sigma_px[1]) / fit.intrinsics.focal_px[0];
+    if relative.is_nan() || relative > MAX_RELATIVE_SIGMA {
+        return Err(Problem::FocalUncertain { relative, limit: MAX_RELATIVE_SIGMA });
+    }
+    Ok(Lens { fit, dropped, outliers })
+}
+
+fn insignificant(fit: &LensFit, free: FreeLens) -> Option<(&'static str, FreeLens)> {
+    let [k1, k2, p1, p2, k3] = could_be_zero(fit);
+    let i = &fit.intrinsics;
+    let [fx, fy] = i.focal_px;
+    let focal_sigma = fit.focal_sigma_px[0].max(fit.focal_sigma_px[1]);
+    let [cx, cy] = i.principal_point_px;
+    let off = [cx - f64::from(i.width_px) / 2.0, cy - f64::from(i.height_px) / 2.0];
+    let central = (0..2).all(|k| off[k].abs() < SIGNIFICANT * fit.principal_point_sigma_px[k]);
+    let [r1, r2, r3] = free.radial;
+    if r3 && k3 {
+        Some(("k3", FreeLens { radial: [r1, r2, false], ..free }))
+    } else if free.tangential && p1 && p2 {
+        Some(("tangential", FreeLens { tangential: false, ..free }))
+    } else if r2 && !r3 && k2 {
+        Some(("k2", FreeLens { radial: [r1, false, false], ..free }))
+    } else if r1 && !r2 && k1 {
+        Some(("k1", FreeLens { radial: [false; 3], ..free }))
+    } else if free.aspect && (fx - fy).abs() < SIGNIFICANT * focal_sigma {
+        Some(("aspect ratio", FreeLens { aspect: false, ..free }))
+    } else if free.principal_point && central {
+        Some(("off-centre principal point", FreeLens { principal_point: false, ..free }))
+    } else {
+        None
+    }
+}
+
+/// For each coefficient whether it could as well be zero.
+fn could_be_zero(fit: &LensFit) -> [bool; 5] {
+    std::array::from_fn(|k| fit.intrinsics.distortion[k].abs() < SIGNIFICANT * fit.distortion_sigma[k])
+}

@@ -1,0 +1,152 @@
+//! The pose of a view: a bundle of the grid's corners and the room's vanishing lines.
+
+use super::vanishing::{self, RoomEdges};
+use super::{PosedCamera, Problem, world_from_grid};
+use crate::camera::{Camera, Intrinsics};
+use crate::least_squares::{self, Fit, Loss};
+use crate::vision::{self, BoardView};
+use nalgebra::{DVector, Isometry3, Point2, Point3, Translation3, UnitQuaternion, Vector3};
+
+/// What is seen from one place.
+pub struct View<'a> {
+    /// The lens.
+    pub intrinsics: &'a Intrinsics,
+    /// The grid, in as many photographs as were taken from there.
+    pub boards: &'a [BoardView],
+    /// Accuracy of a corner along x or y, px; the fit's own scatter counts if it is larger.
+    pub corner_sigma_px: f64,
+    /// Edges of the room, with the accuracy of a mark, px. The room is turned about the vertical against the grid.
+    pub edges: Option<(&'a RoomEdges, f64)>,
+}
+
+/// A pose with what the edges say about it.
+#[derive(Debug, Clone)]
+pub struct ViewPose {
+    /// The pose.
+    pub posed: PosedCamera,
+    /// Turn of the room's x direction against the grid's, rad.
+    pub room_yaw: Option<f64>,
+    /// Distance of the edges' ends from the fit, rms in px.
+    pub edge_rms_px: Option<f64>,
+}
+
+/// Fits the pose. Both solutions of the planar ambiguity are followed to the end; the better one is returned, the other's
+/// error noted.
+pub fn fit(view: &View) -> Result<ViewPose, Problem> {
+    let first = view.boards.first().ok_or(Problem::NoGridInPlate)?;
+    let starts = vision::planar_poses(first, view.intrinsics)?;
+    let mut fits = Vec::new();
+    let mut failure = Problem::NoPose;
+    for camera_from_grid in starts {
+        let start = world_from_grid() * camera_from_grid.inverse();
+        match fit_from(view, start) {
+            Ok(fit) => fits.push(fit),
+            Err(e) => failure = e,
+        }
+    }
+    fits.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut fits = fits.into_iter();
+    let (_, mut best) = fits.next().ok_or(failure)?;
+    // The two starts may end in one minimum.
+    best.posed.rival_rms_px = fits
+        .map(|(_, other)| other.posed)
+        .find(|o| {
+            o.camera.world_from_camera.rotation.angle_to(&best.posed.camera.world_from_camera.rotation) > 1e-3
+        })
+        .map(|o| o.rms_px);
+    Ok(best)
+}
+
+/// Pose from 6 parameters: shift of the centre (world, m) and turn about it (world, rad), from a start.
+fn moved(start: &Isometry3<f64>, x: &[f64]) -> Isometry3<f64> {
+    let turn = UnitQuaternion::from_scaled_axis(Vector3::new(x[3], x[4], x[5]));
+    Isometry3::from_parts(
+        Translation3::from(start.translation.vector + Vector3::new(x[0], x[1], x[2])),
+        turn * start.rotation,
+    )
+}
+
+fn names() -> Vec<String> {
+    [
+        "the camera's x",
+        "the camera's y",
+        "the camera's z",
+        "the tilt",
+        "the heading",
+        "the roll",
+        "the room's turn",
+    ]
+    .map(String::from)
+    .to_vec()
+}
+
+fn fit_from(view: &View, start: Isometry3<f64>) -> Result<(f64, ViewPose), Problem> {
+    let world: Vec<(Point3<f64>, Point2<f64>)> = view
+        .boards
+        .iter()
+        .flat_map(|b| b.board.iter().zip(&b.pixels))
+        .map(|(b, p)| (world_from_grid() * Point3::new(b.x, b.y, 0.0), *p))
+        .collect();
+    let corner_errors = |pose: &Isometry3<f64>| -> Option<Vec<f64>> {
+        let camera = Camera { intrinsics: view.intrinsics.clone(), world_from_camera: *pose };
+        let mut errors = Vec::with_capacity(2 * world.len());
+        for (point, pixel) in &world {
+            let e = camera.project(point)? - pixel;
+            errors.extend([e.x, e.y]);
+        }
+        Some(errors)
+    };
+    let alone = |x: &DVector<f64>| corner_errors(&moved(&start, x.as_slice())).map(DVector::from_vec);
+    let grid_fit = least_squares::minimise(&alone, &names(), &[0.0; 6], Loss::Squares)?;
+    let posed = |fit: &Fit, start: &Isometry3<f64>| -> Option<PosedCamera> {
+        let world_from_camera = moved(start, fit.parameters.as_slice());
+        let errors = corner_errors(&world_from_camera)?;
+        let rms_px = (errors.iter().map(|e| e * e).sum::<f64>() / world.len() as f64).sqrt();
+        Some(PosedCamera {
+            camera: Camera { intrinsics: view.intrinsics.clone(), world_from_camera },
+            rms_px,
+            position_sigma_m: std::array::from_fn(|k| fit.sigma(k)),
+            rotation_sigma_rad: std::array::from_fn(|k| fit.sigma(k + 3)),
+            rival_rms_px: None,
+        })
+    };
+    let Some((edges, edge_sigma)) = view.edges else {
+        let posed = posed(&grid_fit, &start).ok_or(Problem::NoPose)?;
+        return Ok((grid_fit.cost(), ViewPose { posed, room_yaw: None, edge_rms_px: None }));
+    };
+
+    let start = moved(&start, grid_fit.parameters.as_slice());
+    let corner_sigma = view.corner_sigma_px.max(grid_fit.rms);
+    let [f, g] = view.intrinsics.focal_px;
+    let [cx, cy] = view.intrinsics.principal_point_px;
+    let edge_errors = |pose: &Isometry3<f64>, yaw: f64| -> Vec<f64> {
+        let (sin, cos) = yaw.sin_cos();
+        let room = [Vector3::new(cos, sin, 0.0), Vector3::new(-sin, cos, 0.0), Vector3::z()];
+        let vanishing = room.map(|d| {
+            let d = pose.inverse() * (world_from_grid() * d);
+            Vector3::new(f * d.x + cx * d.z, g * d.y + cy * d.z, d.z)
+        });
+        let each = edges.along.iter().zip(vanishing);
+        each.flat_map(|(edges, v)| edges.iter().map(move |e| vanishing::edge_residual(&v, e))).collect()
+    };
+    // Huber's cost of the edges alone finds the room's turn; the directions have no sign.
+    let cost = |yaw: f64| -> f64 {
+        let errors = edge_errors(&start, yaw);
+        errors.iter().map(|e| (e / edge_sigma).abs().min(100.0)).sum()
+    };
+    let turns = (0..180).map(|k| f64::from(k).to_radians());
+    let yaw = turns.min_by(|a, b| cost(*a).total_cmp(&cost(*b))).unwrap_or(0.0);
+    let residuals = |x: &DVector<f64>| {
+        let pose = moved(&start, &x.as_slice()[..6]);
+        let mut r = corner_errors(&pose)?;
+        r.iter_mut().for_each(|e| *e /= corner_sigma);
+        r.extend(edge_errors(&pose, x[6]).iter().map(|e| e / edge_sigma));
+        Some(DVector::from_vec(r))
+    };
+    let first = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, yaw];
+    let fit = least_squares::minimise(&residuals, &names(), &first, Loss::Huber(vanishing::ROBUST))?;
+    let posed = posed(&fit, &start).ok_or(Problem::NoPose)?;
+    let errors = edge_errors(&posed.camera.world_from_camera, fit.parameters[6]);
+    let edge_rms_px = (errors.iter().map(|e| e * e).sum::<f64>() / errors.len().max(1) as f64).sqrt();
+    Ok((fit.cost(), ViewPose { posed, room_yaw: Some(fit.parameters[6]), edge_rms_px: Some(edge_rms_px) }))
+}

@@ -1,0 +1,154 @@
+//! What can be wrong with a calibration.
+
+use crate::{least_squares, vision};
+
+/// Why lens or pose cannot be found.
+#[derive(Debug, thiserror::Error)]
+pub enum Problem {
+    /// No grid.
+    #[error("no grid of {}×{} inner corners is seen whole", inner[0], inner[1])]
+    GridNotFound {
+        /// Corners looked for.
+        inner: [u32; 2],
+    },
+    /// The disc's place is outside the picture.
+    #[error("the margin with the disc is outside the picture, so that the grid could be turned by 180°")]
+    DiscOutside,
+    /// Both corners look alike.
+    #[error(
+        "neither corner of the grid shows the disc (darkness {:.2} and {:.2}), so that it could be turned by 180°",
+        darkness[0], darkness[1]
+    )]
+    DiscUnclear {
+        /// Relative darkness at both places.
+        darkness: [f64; 2],
+    },
+    /// Too few grid photographs.
+    #[error("the grid is found in {found} photographs, 3 are needed for the lens")]
+    FewGrids {
+        /// How many.
+        found: usize,
+    },
+    /// The focal length is not determined.
+    #[error("the focal length is known to {:.1} % only (limit {:.0} %)", 100.0 * relative, 100.0 * limit)]
+    FocalUncertain {
+        /// σ / f.
+        relative: f64,
+        /// Largest acceptable.
+        limit: f64,
+    },
+    /// Nothing tells the focal length.
+    #[error("nothing tells the focal length: no photographs of role `grid`, no vanishing lines, no EXIF")]
+    NoFocal,
+    /// Reprojection too bad.
+    #[error("the grid's corners are {rms_px:.2} px off (rms), the limit is {limit_px:.2} px")]
+    Reprojection {
+        /// What it is.
+        rms_px: f64,
+        /// `calibrate.max_rms_px`.
+        limit_px: f64,
+    },
+    /// The plate's view has no grid.
+    #[error("no photograph from the plate's place shows the grid")]
+    NoGridInPlate,
+    /// No solution in front of the camera.
+    #[error("no pose puts the grid in front of the camera")]
+    NoPose,
+    /// Too few edges.
+    #[error("{found} edges are marked along a direction, 2 are needed for its vanishing point")]
+    FewEdges {
+        /// How many.
+        found: usize,
+    },
+    /// Not enough finite vanishing points.
+    #[error(
+        "of {marked} marked directions {finite} have a vanishing point at a finite distance, 2 are needed for the focal \
+         length: the others are parallel in the picture"
+    )]
+    FewVanishingPoints {
+        /// How many are finite.
+        finite: usize,
+        /// How many directions are marked.
+        marked: usize,
+    },
+    /// Directions that cannot be orthogonal.
+    #[error("the marked directions cannot be orthogonal: f² = {f2_px2:.0} px²")]
+    NegativeFocal {
+        /// −v · v′.
+        f2_px2: f64,
+    },
+    /// Lines that do not meet.
+    #[error(
+        "the marked lines miss their vanishing points by {rms_px:.1} px (rms), the limit is {limit_px:.1} px"
+    )]
+    EdgesDisagree {
+        /// What it is.
+        rms_px: f64,
+        /// Largest acceptable.
+        limit_px: f64,
+    },
+    /// A pose from lines without origin or scale.
+    #[error("a pose from vanishing lines alone needs the marks `origin` and `scale`")]
+    NoOriginOrScale,
+    /// Marks of the known length that make no sense.
+    #[error(
+        "the marked length is {relative_length:.3} times the origin's depth; it or the origin is above the horizon"
+    )]
+    ScaleMarks {
+        /// Length with the origin at depth 1.
+        relative_length: f64,
+    },
+    /// The lines are marked elsewhere.
+    #[error("the vanishing lines are marked in {image}, which was not taken from the plate's place")]
+    OtherImage {
+        /// Where they are.
+        image: String,
+    },
+    /// The fit failed.
+    #[error(transparent)]
+    Fit(#[from] least_squares::Problem),
+    /// OpenCV failed.
+    #[error(transparent)]
+    Vision(#[from] vision::Problem),
+}
+
+impl crate::error::Problem for Problem {
+    fn hint(&self) -> String {
+        match self {
+            Self::GridNotFound { .. } => {
+                "show the whole grid, sharp and larger, and check `calibrate.inner_corners`".into()
+            }
+            Self::DiscOutside | Self::DiscUnclear { .. } => {
+                "show the grid with its margin, or set `calibrate.disc = \"none\"`".into()
+            }
+            Self::FewGrids { .. } => "photograph the grid from at least 3, better 10, sides".into(),
+            Self::FocalUncertain { .. } => {
+                "photograph the grid tilted to several sides, or mark longer lines along more directions".into()
+            }
+            Self::NoFocal => {
+                "give photographs of the grid the role `grid`, or set `ingest.focal_mm` and `ingest.sensor_width_mm`"
+                    .into()
+            }
+            Self::Reprojection { .. } => {
+                "lay the grid on something flat, use sharp photographs, check `calibrate.inner_corners`".into()
+            }
+            Self::NoGridInPlate | Self::NoPose => {
+                "give a photograph of the grid from the plate's place the role `plate_with_grid`, or mark vanishing \
+                 lines with origin and scale"
+                    .into()
+            }
+            Self::FewEdges { .. } => "mark at least two edges along each direction".into(),
+            Self::FewVanishingPoints { .. } => {
+                "use a photograph that shows two directions in perspective, or give grid photographs".into()
+            }
+            Self::NegativeFocal { .. } | Self::EdgesDisagree { .. } => {
+                "check which edges are marked as x, y and z: they must be at right angles in the room".into()
+            }
+            Self::NoOriginOrScale => "mark `origin` and `scale` under [vanishing_lines]".into(),
+            Self::ScaleMarks { .. } => "mark the length from a point on the floor, along its axis".into(),
+            Self::OtherImage { .. } => "mark them in the plate".into(),
+            Self::Fit(e) => e.hint(),
+            Self::Vision(e) => e.hint(),
+        }
+    }
+}

@@ -1,0 +1,213 @@
+//! The whole calibration: which evidence there is decides what lens and pose come from.
+
+use super::vanishing::{self, EdgeFit, RoomEdges};
+use super::{PosedCamera, Problem, board, edges_of, lens, pose, pose_from_lines};
+use crate::annotations::VanishingLines;
+use crate::camera::Intrinsics;
+use crate::config::{self, PoseSource};
+use crate::image::Image;
+use crate::vision::BoardView;
+use nalgebra::Point2;
+use rayon::prelude::*;
+
+/// All evidence.
+pub struct Evidence<'a> {
+    /// Width of all photographs, px.
+    pub width_px: u32,
+    /// Height of all photographs, px.
+    pub height_px: u32,
+    /// Photographs of the grid for the lens, with their names.
+    pub grids: &'a [(String, Image<u8>)],
+    /// Photographs of the grid from the plate's place.
+    pub plate_grids: &'a [(String, Image<u8>)],
+    /// Focal length that EXIF or settings state, px.
+    pub stated_focal_px: Option<f64>,
+    /// Edges marked in a photograph from the plate's place.
+    pub lines: Option<&'a VanishingLines>,
+}
+
+/// Lens and pose of the plate, and how good they are.
+#[derive(Debug, Clone)]
+pub struct Solution {
+    /// The plate's pose, with the lens.
+    pub plate: PosedCamera,
+    /// Where the focal length comes from: `grid`, `vanishing_lines`, `exif`.
+    pub focal_source: &'static str,
+    /// Standard deviation of the focal length, px, where known.
+    pub focal_sigma_px: Option<f64>,
+    /// The lens from grid photographs.
+    pub lens: Option<lens::Lens>,
+    /// Focal length and orientation from the lines alone.
+    pub edges: Option<EdgeFit>,
+    /// Distance of the lines' ends from the whole fit, rms in px.
+    pub edge_rms_px: Option<f64>,
+    /// What was done in spite of a defect.
+    pub warnings: Vec<String>,
+}
+
+/// Lines that miss their vanishing points by more than this many standard deviations of a mark (rms) are refused.
+const MAX_EDGE_SIGMA: f64 = 6.0;
+
+/// Finds the lens, then the plate's pose.
+pub fn solve(evidence: &Evidence, settings: &config::Calibrate) -> Result<Solution, Problem> {
+    let mut warnings = Vec::new();
+    let lens = fit_lens(evidence, settings, &mut warnings);
+    let (width, height) = (evidence.width_px, evidence.height_px);
+    let guess = evidence.stated_focal_px.unwrap_or(f64::from(width.max(height)));
+    let mut intrinsics = match &lens {
+        Ok(lens) => lens.fit.intrinsics.clone(),
+        Err(_) => Intrinsics::pinhole(width, height, guess),
+    };
+
+    let diagonal = f64::from(width).hypot(f64::from(height));
+    let marked = evidence.lines.map(|lines| (lines, edges_of(lines, &intrinsics)));
+    let edge_fit = marked.as_ref().map(|(_, edges)| {
+        let centre = Point2::from(intrinsics.principal_point_px);
+        let fit = vanishing::focal_from_edges(edges, centre, diagonal, settings.mark_sigma_px)?;
+        let limit_px = MAX_EDGE_SIGMA * settings.mark_sigma_px;
+        if fit.rms_px > limit_px {
+            return Err(Problem::EdgesDisagree { rms_px: fit.rms_px, limit_px });
+        }
+        Ok(fit)
+    });
+
+    let (focal_source, focal_sigma_px, lens) = match (lens, &edge_fit) {
+        (Ok(lens), _) => {
+            ("grid", Some(lens.fit.focal_sigma_px[0].max(lens.fit.focal_sigma_px[1])), Some(lens))
+        }
+        (Err(problem), Some(Ok(fit))) => {
+            warnings.push(format!("focal length from the vanishing lines, not from the grid: {problem}"));
+            intrinsics.focal_px = [fit.focal_px; 2];
+            ("vanishing_lines", Some(fit.covariance[(0, 0)].max(0.0).sqrt()), None)
+        }
+        (Err(problem), lines) if evidence.stated_focal_px.is_some() => {
+            warnings.push(format!("focal length as stated by EXIF or settings, unchecked: {problem}"));
+            if let Some(Err(problem)) = lines {
+                warnings.push(format!("nor do the vanishing lines give it: {problem}"));
+            }
+            ("exif", None, None)
+        }
+        (Err(_), Some(Err(_))) => {
+            return Err(edge_fit.and_then(Result::err).unwrap_or(Problem::NoFocal));
+        }
+        (Err(Problem::FewGrids { found: 0 }), None) => return Err(Problem::NoFocal),
+        (Err(problem), None) => return Err(problem),
+    };
+    if let Some(Err(problem)) = &edge_fit {
+        warnings.push(format!("the vanishing lines give no focal length: {problem}"));
+    }
+    let edge_fit = edge_fit.and_then(Result::ok);
+    if let Some(fit) = edge_fit.as_ref().filter(|f| f.worst.2 > 2.0 * vanishing::ROBUST) {
+        let axis = ["x", "y", "z"][fit.worst.0];
+        warnings.push(format!(
+            "line {} along {axis} misses its vanishing point by {:.1} σ",
+            fit.worst.1 + 1,
+            fit.worst.2
+        ));
+    }
+
+    let edges = marked.as_ref().map(|(_, edges)| edges);
+    let (plate, edge_rms_px) = match settings.pose {
+        PoseSource::VanishingLines => {
+            (lines_alone(evidence, &intrinsics, edge_fit.as_ref(), settings)?, None)
+        }
+        source => {
+            let boards = plate_boards(evidence, settings, &mut warnings);
+            match boards {
+                Err(_)
+                    if source == PoseSource::Both && evidence.lines.is_some_and(|l| l.origin.is_some()) =>
+                {
+                    (lines_alone(evidence, &intrinsics, edge_fit.as_ref(), settings)?, None)
+                }
+                boards => {
+                    let edges = edges.filter(|_| source == PoseSource::Both);
+                    let found = from_grid(&boards?, &intrinsics, lens.as_ref(), edges, settings)?;
+                    (found.posed, found.edge_rms_px)
+                }
+            }
+        }
+    };
+    if let Some(rival) = plate.rival_rms_px.filter(|_| plate.is_ambiguous()) {
+        warnings.push(format!(
+            "the grid is too small to tell its two possible tilts apart ({:.3} and {rival:.3} px); mark vanishing lines",
+            plate.rms_px
+        ));
+    }
+    if let Some(rms) = edge_rms_px.filter(|rms| *rms > 3.0 * settings.mark_sigma_px) {
+        warnings.push(format!("grid and vanishing lines disagree: the lines are {rms:.1} px off (rms)"));
+    }
+    Ok(Solution { plate, focal_source, focal_sigma_px, lens, edges: edge_fit, edge_rms_px, warnings })
+}
+
+fn fit_lens(
+    evidence: &Evidence,
+    settings: &config::Calibrate,
+    warnings: &mut Vec<String>,
+) -> Result<lens::Lens, Problem> {
+    let found: Vec<_> = evidence.grids.par_iter().map(|(_, image)| board::find(image, settings)).collect();
+    let (mut views, mut names) = (Vec::new(), Vec::new());
+    for ((name, _), view) in evidence.grids.iter().zip(found) {
+        match view {
+            Ok(view) => {
+                views.push(view);
+                names.push(name);
+            }
+            Err(problem) => warnings.push(format!("{name} is not used: {problem}")),
+        }
+    }
+    let lens = lens::fit(&views, evidence.width_px, evidence.height_px, evidence.stated_focal_px)?;
+    for k in &lens.outliers {
+        warnings.push(format!("{} is not used: its corners fit much worse than the others'", names[*k]));
+    }
+    let (rms_px, limit_px) = (lens.fit.rms_px, settings.max_rms_px);
+    if rms_px > limit_px { Err(Problem::Reprojection { rms_px, limit_px }) } else { Ok(lens) }
+}
+
+fn plate_boards(
+    evidence: &Evidence,
+    settings: &config::Calibrate,
+    warnings: &mut Vec<String>,
+) -> Result<Vec<BoardView>, Problem> {
+    let mut boards = Vec::new();
+    let mut failure = Problem::NoGridInPlate;
+    for (name, image) in evidence.plate_grids {
+        match board::find_oriented(image, settings) {
+            Ok(view) => boards.push(view),
+            Err(problem) => {
+                warnings.push(format!("{name} does not give the pose: {problem}"));
+                failure = problem;
+            }
+        }
+    }
+    if boards.is_empty() { Err(failure) } else { Ok(boards) }
+}
+
+fn from_grid(
+    boards: &[BoardView],
+    intrinsics: &Intrinsics,
+    lens: Option<&lens::Lens>,
+    edges: Option<&RoomEdges>,
+    settings: &config::Calibrate,
+) -> Result<pose::ViewPose, Problem> {
+    let view = pose::View {
+        intrinsics,
+        boards,
+        corner_sigma_px: lens.map_or(0.0, |lens| lens.fit.rms_px / 2f64.sqrt()),
+        edges: edges.map(|edges| (edges, settings.mark_sigma_px)),
+    };
+    let found = pose::fit(&view)?;
+    let (rms_px, limit_px) = (found.posed.rms_px, settings.max_rms_px);
+    if rms_px > limit_px { Err(Problem::Reprojection { rms_px, limit_px }) } else { Ok(found) }
+}
+
+fn lines_alone(
+    evidence: &Evidence,
+    intrinsics: &Intrinsics,
+    edge_fit: Option<&EdgeFit>,
+    settings: &config::Calibrate,
+) -> Result<PosedCamera, Problem> {
+    let (lines, fit) = evidence.lines.zip(edge_fit).ok_or(Problem::NoGridInPlate)?;
+    // The orientation belongs to the focal length it was fitted with.
+    let intrinsics = Intrinsics { focal_px: [fit.focal_px; 2], ..intrinsics.clone() };
+    pose_from_lines(lines, fit, &intrinsics, settings.mark_sigma_px)
+}

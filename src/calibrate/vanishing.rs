@@ -1,0 +1,254 @@
+//! Vanishing points, focal length and orientation from edges marked along three orthogonal directions (tutorial §3;
+//! Caprile and Torre 1990).
+
+use super::Problem;
+use crate::least_squares::{self, Loss};
+use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Point2, Rotation3, Vector2, Vector3};
+
+/// A marked edge, px, freed of distortion.
+pub type Edge = [Point2<f64>; 2];
+
+/// Edges along x, y (horizontal) and z (up).
+#[derive(Debug, Clone, Default)]
+pub struct RoomEdges {
+    /// By direction.
+    pub along: [Vec<Edge>; 3],
+}
+
+/// A vanishing point further away than this many image diagonals counts as infinitely far.
+const FAR: f64 = 50.0;
+/// A focal length less certain than this is refused.
+const MAX_RELATIVE_SIGMA: f64 = 0.1;
+/// Robust threshold, in standard deviations of a mark.
+pub const ROBUST: f64 = 3.0;
+
+/// Root of the smallest sum of squared distances of an edge's ends to any line through the vanishing point `v`
+/// (homogeneous), signed; exact for near and infinitely far points alike. With B = Σ b bᵀ, b = w p − (x, y), it is
+/// v · (p₀ × p₁) / √λmax(B).
+pub fn edge_residual(v: &Vector3<f64>, [p, q]: &Edge) -> f64 {
+    let through_ends = p.to_homogeneous().cross(&q.to_homogeneous());
+    let [a, b] = [p, q].map(|p| p.coords * v.z - v.xy());
+    let scatter: Matrix2<f64> = a * a.transpose() + b * b.transpose();
+    v.dot(&through_ends) / scatter.symmetric_eigenvalues().max().sqrt()
+}
+
+/// The most likely vanishing point of edges, homogeneous and of unit length in units of `scale` px about `centre`.
+pub fn vanishing_point(edges: &[Edge], centre: Point2<f64>, scale: f64) -> Result<Vector3<f64>, Problem> {
+    if edges.len() < 2 {
+        return Err(Problem::FewEdges { found: edges.len() });
+    }
+    let edges: Vec<Edge> = edges.iter().map(|e| e.map(|p| Point2::from((p - centre) / scale))).collect();
+    // Algebraic start: the point nearest to all lines, long edges counting more.
+    let lines: Vec<Vector3<f64>> =
+        edges.iter().map(|[p, q]| p.to_homogeneous().cross(&q.to_homogeneous())).collect();
+    let moments: Matrix3<f64> = lines.iter().map(|l| l * l.transpose()).sum();
+    let eigen = moments.symmetric_eigen();
+    let start = eigen.eigenvectors.column(eigen.eigenvalues.imin()).clone_owned();
+    let basis = tangents(&start);
+    let at = |x: &DVector<f64>| (start + basis[0] * x[0] + basis[1] * x[1]).normalize();
+    let residuals = |x: &DVector<f64>| {
+        Some(DVector::from_iterator(edges.len(), edges.iter().map(|e| edge_residual(&at(x), e))))
+    };
+    let names = ["the vanishing point".to_string(), "the vanishing point".to_string()];
+    // Lengths are in units of the image: a threshold of 3 px at some 800 px.
+    let fit = least_squares::minimise(&residuals, &names, &[0.0; 2], Loss::Huber(0.004))?;
+    Ok(at(&fit.parameters))
+}
+
+fn tangents(v: &Vector3<f64>) -> [Vector3<f64>; 2] {
+    let helper = if v.x.abs() < 0.6 { Vector3::x() } else { Vector3::y() };
+    let a = v.cross(&helper).normalize();
+    [a, v.cross(&a)]
+}
+
+/// Focal length and orientation from marked edges.
+#[derive(Debug, Clone)]
+pub struct EdgeFit {
+    /// Focal length, px.
+    pub focal_px: f64,
+    /// The room's directions (x, y horizontal, z up) in the camera frame.
+    pub camera_from_room: Rotation3<f64>,
+    /// Covariance of focal length (px) and a turn in the camera frame (rad).
+    pub covariance: DMatrix<f64>,
+    /// Distance of an edge's ends from the fit, px.
+    pub rms_px: f64,
+    /// The worst edge: direction, number, residual in standard deviations.
+    pub worst: (usize, usize, f64),
+}
+
+/// Fits focal length and orientation to all edges at once. The principal point is taken as known.
+pub fn focal_from_edges(
+    edges: &RoomEdges,
+    centre: Point2<f64>,
+    diagonal_px: f64,
+    sigma_px: f64,
+) -> Result<EdgeFit, Problem> {
+    let mut points = [None; 3];
+    for (k, edges) in edges.along.iter().enumerate() {
+        if edges.len() >= 2 {
+            points[k] = Some(vanishing_point(edges, centre, diagonal_px)?);
+        }
+    }
+    let start = start_from_points(&points, diagonal_px)?;
+    let rotation = orientation(&points, &edges.along, centre, diagonal_px, start)?;
+    let project = |x: &DVector<f64>, k: usize| {
+        let d = Rotation3::new(Vector3::new(x[1], x[2], x[3])) * rotation * Vector3::ith(k, 1.0);
+        let focal = start * x[0].exp();
+        Vector3::new(focal * d.x + centre.x * d.z, focal * d.y + centre.y * d.z, d.z)
+    };
+    let residuals = |x: &DVector<f64>| {
+        let all = edges.along.iter().enumerate().flat_map(|(k, edges)| {
+            let v = project(x, k);
+            edges.iter().map(move |e| edge_residual(&v, e) / sigma_px)
+        });
+        Some(DVector::from_vec(all.collect()))
+    };
+    let names = ["the focal length", "the tilt", "the tilt", "the roll"].map(String::from);
+    let fit = least_squares::minimise(&residuals, &names, &[0.0; 4], Loss::Huber(ROBUST))?;
+    let relative = fit.sigma(0);
+    if relative > MAX_RELATIVE_SIGMA {
+        return Err(Problem::FocalUncertain { relative, limit: MAX_RELATIVE_SIGMA });
+    }
+    let turn = Rotation3::new(Vector3::new(fit.parameters[1], fit.parameters[2], fit.parameters[3]));
+    let focal_px = start * fit.parameters[0].exp();
+    let mut covariance = fit.covariance.clone();
+    covariance.row_mut(0).scale_mut(focal_px);
+    covariance.column_mut(0).scale_mut(focal_px);
+    let worst = fit.residuals.iamax();
+    let (mut axis, mut number) = (0, worst);
+    while number >= edges.along[axis].len() {
+        number -= edges.along[axis].len();
+        axis += 1;
+    }
+    Ok(EdgeFit {
+        focal_px,
+        camera_from_room: turn * rotation,
+        covariance,
+        rms_px: fit.rms * sigma_px,
+        worst: (axis, number, fit.residuals[worst].abs()),
+    })
+}
+
+/// f² = −v · v′ with v relative to the principal point, from the pair of finite vanishing points that gives it best.
+fn start_from_points(points: &[Option<Vector3<f64>>; 3], diagonal_px: f64) -> Result<f64, Problem> {
+    let finite: Vec<Vector2<f64>> =
+        points.iter().flatten().filter(|v| v.xy().norm() < FAR * v.z.abs()).map(|v| v.xy() / v.z).collect();
+    if finite.len() < 2 {
+        return Err(Problem::FewVanishingPoints {
+            finite: finite.len(),
+            marked: points.iter().flatten().count(),
+        });
+    }
+    let pairs = (0..finite.len()).flat_map(|a| (0..a).map(move |b| (a, b)));
+    // A pair is the better, the nearer its points.
+    let best = pairs
+        .map(|(a, b)| (-finite[a].dot(&finite[b]), finite[a].norm() * finite[b].norm()))
+        .filter(|(f2, size)| *f2 > 1e-3 * size)
+        .min_by(|a, b| a.1.total_cmp(&b.1));
+    match best {
+        Some((f2, _)) => Ok(f2.sqrt() * diagonal_px),
+        None => {
+            Err(Problem::NegativeFocal { f2_px2: -finite[0].dot(&finite[1]) * diagonal_px * diagonal_px })
+        }
+    }
+}
+
+/// Orientation from vanishing points: z points up in the picture, x along its marks, y completes a right-handed frame.
+fn orientation(
+    points: &[Option<Vector3<f64>>; 3],
+    edges: &[Vec<Edge>; 3],
+    centre: Point2<f64>,
+    scale: f64,
+    focal_px: f64,
+) -> Result<Rotation3<f64>, Problem> {
+    let direction = |k: usize| {
+        let v = points[k]?;
+        // Vanishing points are in units of `scale` about the centre: K⁻¹ v.
+        let d = Vector3::new(v.x * scale, v.y * scale, v.z * focal_px).normalize();
+        let seen = |p: &Point2<f64>| (d.xy() * focal_px - (p - centre) * d.z).normalize();
+        let votes: f64 = match k {
+            2 => -seen(&centre).y,
+            _ => edges[k].iter().map(|[p, q]| (q - p).dot(&seen(&nalgebra::center(p, q))).signum()).sum(),
+        };
+        Some(if votes < 0.0 { -d } else { d })
+    };
+    let [x, y, z] = match [direction(0), direction(1), direction(2)] {
+        [Some(x), _, Some(z)] => [x, z.cross(&x), z],
+        [None, Some(y), Some(z)] => [y.cross(&z), y, z],
+        [Some(x), Some(y), None] => {
+            let z = x.cross(&y);
+            if z.y < 0.0 { [x, y, z] } else { [x, -y, -z] }
+        }
+        _ => return Err(Problem::FewEdges { found: 0 }),
+    };
+    let svd = Matrix3::from_columns(&[x, y, z]).svd(true, true);
+    let (u, v) = svd.u.zip(svd.v_t).ok_or(Problem::FewEdges { found: 0 })?;
+    let sign = Vector3::new(1.0, 1.0, (u * v).determinant().signum());
+    Ok(Rotation3::from_matrix_unchecked(u * Matrix3::from_diagonal(&sign) * v))
+}
+
+/// Marks that place a camera whose orientation is known (tutorial §3), px, freed of distortion.
+#[derive(Debug, Clone, Copy)]
+pub struct PlacingMarks {
+    /// Where the origin is seen.
+    pub origin: Point2<f64>,
+    /// Start, on the plane z = 0, and end of the known length.
+    pub length: Edge,
+    /// Along which direction.
+    pub axis: usize,
+    /// Length, m.
+    pub length_m: f64,
+}
+
+/// Where the camera is in the room's frame (z up), m.
+pub fn camera_centre(
+    marks: &PlacingMarks,
+    focal_px: f64,
+    centre: Point2<f64>,
+    camera_from_room: &Rotation3<f64>,
+) -> Result<Vector3<f64>, Problem> {
+    let ray = |p: Point2<f64>| {
+        let d = (p - centre) / focal_px;
+        camera_from_room.inverse() * Vector3::new(d.x, d.y, 1.0)
+    };
+    let [origin, from, to] = [marks.origin, marks.length[0], marks.length[1]].map(ray);
+    // With the origin at depth 1 the plane z = 0 lies at `origin.z` below the camera.
+    let on_plane = from * (origin.z / from.z);
+    let axis = Vector3::ith(marks.axis, 1.0);
+    // The point of the axis line through `on_plane` nearest to the end's ray.
+    let normal = to.cross(&axis.cross(&to));
+    let length = -on_plane.dot(&normal) / axis.dot(&normal);
+    let scale = marks.length_m / length;
+    let ok = scale.is_finite() && scale > 0.0 && origin.z < 0.0 && from.z < 0.0;
+    if ok { Ok(-origin * scale) } else { Err(Problem::ScaleMarks { relative_length: length }) }
+}
+
+/// Standard deviation of the camera centre along each axis, m, by the propagation of all marks' noise.
+pub fn camera_centre_sigma(
+    marks: &PlacingMarks,
+    fit: &EdgeFit,
+    centre: Point2<f64>,
+    sigma_px: f64,
+) -> Result<[f64; 3], Problem> {
+    let at = |x: &[f64; 10]| {
+        let shift = |p: Point2<f64>, k: usize| p + Vector2::new(x[k], x[k + 1]);
+        let moved = PlacingMarks {
+            origin: shift(marks.origin, 4),
+            length: [shift(marks.length[0], 6), shift(marks.length[1], 8)],
+            ..*marks
+        };
+        let turn = Rotation3::new(Vector3::new(x[1], x[2], x[3]));
+        camera_centre(&moved, fit.focal_px + x[0], centre, &(turn * fit.camera_from_room))
+    };
+    let mut jacobian = DMatrix::zeros(3, 10);
+    for k in 0..10 {
+        let h = if k == 0 || k > 3 { 1e-3 } else { 1e-6 };
+        let (mut up, mut down) = ([0.0; 10], [0.0; 10]);
+        (up[k], down[k]) = (h, -h);
+        jacobian.set_column(k, &((at(&up)? - at(&down)?) / (2.0 * h)));
+    }
+    let mut covariance = DMatrix::identity(10, 10) * (sigma_px * sigma_px);
+    covariance.view_mut((0, 0), (4, 4)).copy_from(&fit.covariance);
+    let c = &jacobian * covariance * jacobian.transpose();
+    Ok(std::array::from_fn(|k| c[(k, k)].max(0.0).sqrt()))
+}

@@ -1,0 +1,104 @@
+//! The scene as binary glTF 2.0: a mesh for each primitive and the plate's camera, to open in Blender and others.
+
+use super::Scene;
+use super::face::triangulate;
+use crate::camera::Camera;
+use crate::error::{Error, FileContext, Result};
+use nalgebra::{UnitQuaternion, Vector3};
+use serde_json::{Value, json};
+use std::path::Path;
+
+/// Writes `scene.glb`. A camera of glTF looks along −Z with +Y up, ours along +Z with +Y down; it has no distortion and
+/// its principal point is central.
+pub fn write(path: &Path, scene: &Scene, camera: &Camera) -> Result<()> {
+    let mut binary = Vec::new();
+    let (mut views, mut accessors, mut meshes, mut nodes) = (vec![], vec![], vec![], vec![]);
+    for primitive in &scene.primitives {
+        let inside = |name: &str| name == primitive.name || name.starts_with(&format!("{}.", primitive.name));
+        let faces: Vec<_> = scene.faces.iter().filter(|f| inside(&f.name)).cloned().collect();
+        let soup = triangulate(&faces);
+        if soup.triangles.is_empty() {
+            continue;
+        }
+        let normals = faces.iter().flat_map(|f| {
+            let n = f.normal();
+            std::iter::repeat_n([n.x as f32, n.y as f32, n.z as f32], f.vertices.len())
+        });
+        let (low, high) = soup
+            .vertices
+            .iter()
+            .fold((soup.vertices[0], soup.vertices[0]), |(low, high), v| (low.min(*v), high.max(*v)));
+        let first = accessors.len();
+        let mut add = |bytes: Vec<u8>, target: u32, mut accessor: Value| {
+            accessor["bufferView"] = views.len().into();
+            views.push(
+                json!({"buffer": 0, "byteOffset": binary.len(), "byteLength": bytes.len(), "target": target}),
+            );
+            accessors.push(accessor);
+            binary.extend(bytes);
+        };
+        let count = soup.vertices.len();
+        let bytes = soup.vertices.iter().flat_map(|v| v.to_array()).flat_map(f32::to_le_bytes).collect();
+        let bounds = (low.to_array(), high.to_array());
+        add(
+            bytes,
+            ARRAY,
+            json!({"componentType": FLOAT, "count": count, "type": "VEC3", "min": bounds.0, "max": bounds.1}),
+        );
+        let bytes = normals.flatten().flat_map(f32::to_le_bytes).collect();
+        add(bytes, ARRAY, json!({"componentType": FLOAT, "count": count, "type": "VEC3"}));
+        let bytes = soup.triangles.iter().flatten().flat_map(|i| i.to_le_bytes()).collect();
+        let count = 3 * soup.triangles.len();
+        add(bytes, ELEMENT_ARRAY, json!({"componentType": UNSIGNED_INT, "count": count, "type": "SCALAR"}));
+        let attributes = json!({"POSITION": first, "NORMAL": first + 1});
+        meshes.push(json!({
+            "name": primitive.name,
+            "primitives": [{"attributes": attributes, "indices": first + 2, "material": 0}],
+        }));
+        nodes.push(json!({"name": primitive.name, "mesh": meshes.len() - 1}));
+    }
+    let i = &camera.intrinsics;
+    let flip = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+    let turn = camera.world_from_camera.rotation * flip;
+    let (at, q) = (camera.centre(), turn.coords);
+    nodes.push(json!({
+        "name": "plate", "camera": 0, "translation": [at.x, at.y, at.z], "rotation": [q.x, q.y, q.z, q.w],
+    }));
+    let perspective = json!({
+        "aspectRatio": f64::from(i.width_px) / f64::from(i.height_px) * i.focal_px[1] / i.focal_px[0],
+        "yfov": 2.0 * (f64::from(i.height_px) / 2.0 / i.focal_px[1]).atan(),
+        "znear": 0.01,
+    });
+    let mut root = json!({
+        "asset": {"version": "2.0", "generator": concat!("insitu ", env!("CARGO_PKG_VERSION"))},
+        "scene": 0,
+        "scenes": [{"nodes": (0..nodes.len()).collect::<Vec<_>>()}],
+        "nodes": nodes,
+        "cameras": [{"name": "plate", "type": "perspective", "perspective": perspective}],
+    });
+    if !binary.is_empty() {
+        root["materials"] = json!([{"name": "grey", "pbrMetallicRoughness": {
+            "baseColorFactor": [0.5, 0.5, 0.5, 1.0], "metallicFactor": 0.0, "roughnessFactor": 1.0,
+        }}]);
+        root["meshes"] = meshes.into();
+        root["accessors"] = accessors.into();
+        root["bufferViews"] = views.into();
+        root["buffers"] = json!([{"byteLength": binary.len()}]);
+    }
+    let json = serde_json::to_vec(&root).map_err(|e| Error::Bug(e.to_string()))?;
+    let binary = (!binary.is_empty()).then(|| binary.into());
+    // The writer pads both chunks; lengths are its business.
+    let glb = ::gltf::binary::Glb {
+        header: ::gltf::binary::Header { magic: *b"glTF", version: 2, length: 0 },
+        json: json.into(),
+        bin: binary,
+    };
+    let bytes = glb.to_vec().map_err(|e| Error::Bug(e.to_string()))?;
+    std::fs::write(path, bytes).at("writing the scene", path)
+}
+
+// Constants of the glTF 2.0 specification, §5.
+const ARRAY: u32 = 34962;
+const ELEMENT_ARRAY: u32 = 34963;
+const FLOAT: u32 = 5126;
+const UNSIGNED_INT: u32 = 5125;
