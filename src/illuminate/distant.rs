@@ -176,8 +176,10 @@ fn split_sun(texels: &mut [Texel], blur: impl Fn(Vec3) -> f64) -> Option<(Distan
         return None;
     }
     // The second moment of a uniform disc of radius a is a²/2; the probe adds its blur on either axis.
-    let second: f64 =
-        taken.iter().map(|t| weight(&t.power) * f64::from(t.direction.angle_between(sun.direction)).powi(2)).sum();
+    let second: f64 = taken
+        .iter()
+        .map(|t| weight(&t.power) * f64::from(t.direction.angle_between(sun.direction)).powi(2))
+        .sum();
     let radius = (2.0 * (second / power - 2.0 * blur(sun.direction).powi(2))).max(0.0).sqrt().max(SUN_RADIUS);
     let solid_angle = std::f64::consts::TAU * (1.0 - radius.cos());
     let scale = f64::from(sun.solid_angle_sr) / solid_angle;

@@ -17,6 +17,8 @@ pub const MIN_AGREEMENT: f64 = 0.6;
 const MAX_OUTSIDE: f64 = 0.02;
 /// Spacing of the coarse search in the picture, px.
 const STEP_PX: usize = 3;
+/// Places whose mirror image is looked at.
+const PROMISING: usize = 6000;
 /// Places kept by the coarse search.
 const CANDIDATES: usize = 60;
 /// Of these, places that are judged on all their pixels.
@@ -60,8 +62,11 @@ pub fn find(
         radius_m,
         floor: noise_floor(&luminance),
     };
-    let mut climbed: Vec<_> =
-        view.coarse().into_par_iter().map(|start| consistency.climb(start, centre_height_m, 400)).collect();
+    let mut climbed: Vec<_> = view
+        .coarse(&consistency)
+        .into_par_iter()
+        .map(|start| consistency.climb(start, centre_height_m, 400))
+        .collect();
     climbed.sort_by(|a, b| b.0.total_cmp(&a.0));
     climbed.truncate(FINALISTS);
     // Few pixels agree by chance, places half outside the picture too, and a regular floor agrees with itself: the
@@ -124,8 +129,8 @@ impl View<'_> {
         self.outline(at, FINE).map_or(1.0, |points| outline::share_outside(&points, w, h))
     }
 
-    /// The best places where the picture's logarithm changes across the outline, best first.
-    fn coarse(&self) -> Vec<Vector2<f64>> {
+    /// The best places: the picture's logarithm changes across the outline, and the mirror image agrees at a glance.
+    fn coarse(&self, consistency: &Consistency) -> Vec<Vector2<f64>> {
         let log = logarithm(self.luminance);
         let (width, height) = self.luminance.size();
         let columns = width / STEP_PX;
@@ -146,6 +151,9 @@ impl View<'_> {
                 Some((self.score(&log, at)?, pixel, at))
             })
             .collect();
+        scores.sort_by(|a, b| b.0.total_cmp(&a.0));
+        scores.truncate(PROMISING);
+        scores.par_iter_mut().for_each(|s| s.0 += consistency.correlation(&self.centre(s.2), 100));
         scores.sort_by(|a, b| b.0.total_cmp(&a.0));
         let mut kept: Vec<(f64, Point2<f64>, Vector2<f64>)> = Vec::new();
         for s in scores {

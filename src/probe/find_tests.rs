@@ -26,27 +26,6 @@ fn scene(camera: &Camera, centre: &Point3<f64>) -> RadianceImage {
 fn a_ball_among_tiles_is_found_within_a_millimetre() {
     let centre = Point3::new(-0.1, RADIUS, 0.33);
     let camera = camera(300.0, Point3::new(0.05, 0.0, 0.1));
-    {
-        let lum = scene(&camera, &centre).map(|p| p.luminance());
-        let c = Consistency {
-            camera: &camera,
-            luminance: &lum,
-            surface: FLOOR,
-            radius_m: RADIUS,
-            floor: noise_floor(&lum),
-        };
-        let v = View { camera: &camera, luminance: &lum, radius_m: RADIUS, height_m: RADIUS };
-        let at = Vector2::new(centre.x, centre.z);
-        eprintln!(
-            "truth corr {} {} score {:?} {:?}",
-            c.correlation(&centre, 400),
-            c.correlation(&centre, 4000),
-            v.score(&logarithm(&lum), at),
-            c.refine(at, RADIUS)
-        );
-        eprintln!("{:?}", v.coarse().iter().map(|p| (p - at).norm()).collect::<Vec<_>>());
-        eprintln!("{:?}", v.outline(at, 8));
-    }
     let fit = find(&camera, &scene(&camera, &centre), &FLOOR, &config::Probe::default()).unwrap();
     assert!((fit.centre - centre).norm() < 1e-3, "{:?} {}", fit.centre - centre, fit.outline_rms_px);
     assert!((fit.reflectivity_seen - 0.9).abs() < 0.01);

@@ -1,0 +1,287 @@
+//! The light model from scene, probe and plate.
+
+use super::distant::{self, Distant, Layer};
+use super::gather::Gather;
+use super::mesh::{FaceMesh, assemble, graded};
+use super::patch::{Evidence, LightModel, PatchMesh};
+use super::project::{self, PlateSamples, Projected};
+use super::{Problem, power};
+use crate::camera::Camera;
+use crate::config;
+use crate::image::{Image, Radiance, RadianceImage, luminance};
+use crate::model::face::Face;
+use crate::probe::Environment;
+use crate::visibility::Bvh;
+use glam::Vec3;
+
+/// The unclipped, empty picture of the scene.
+pub struct Plate<'a> {
+    /// Its camera.
+    pub camera: &'a Camera,
+    /// Its radiance.
+    pub radiance: &'a RadianceImage,
+    /// Where no exposure holds it.
+    pub clipped: &'a Image<bool>,
+}
+
+/// Largest reflectance: one returns no more light than it gets.
+const MAX_REFLECTANCE: f32 = 0.95;
+/// Rounds of gathering, so that unseen patches see each other.
+const ROUNDS: usize = 3;
+/// Rounds of refinement; each halves edges.
+const REFINEMENTS: usize = 4;
+/// Below this share of the sphere, gaps are cracks of the model and not the sky.
+const MIN_OPEN: f64 = 0.005;
+
+/// The light model and what is to be said about it.
+pub struct Built {
+    /// Patches and distant light.
+    pub light: LightModel,
+    /// Radiance of the distant layer by direction, 0 where the model is met.
+    pub distant_picture: RadianceImage,
+    /// Figures by name.
+    pub figures: Vec<(&'static str, f64)>,
+}
+
+/// Builds it. `probe_blur` is the angular standard deviation (per axis, rad) with which the probe shows a point at a
+/// direction.
+pub fn build(
+    faces: &[Face],
+    env: &Environment,
+    plate: Option<&Plate>,
+    settings: &config::Illuminate,
+    probe_blur: impl Fn(Vec3) -> f64,
+) -> Result<Built, Problem> {
+    for (name, value) in [
+        ("max_edge_m", settings.max_edge_m),
+        ("min_edge_m", settings.min_edge_m),
+        ("max_power_share", settings.max_power_share),
+    ] {
+        if !(value.is_finite() && value > 0.0) {
+            return Err(Problem::Setting { name, value });
+        }
+    }
+    if env.power() <= 0.0 {
+        return Err(Problem::Dark);
+    }
+    let mut meshes: Vec<Option<FaceMesh>> = faces.iter().map(FaceMesh::new).collect();
+    if meshes.iter().all(Option::is_none) {
+        return Err(Problem::NoFaces(faces.len()));
+    }
+    for m in meshes.iter_mut().flatten() {
+        m.refine(|p| graded(settings.max_edge_m, p));
+    }
+    let mut stage = Stage::new(&meshes, env, plate);
+    for _ in 0..REFINEMENTS {
+        let sizes = stage.sizes(settings);
+        if sizes.iter().all(Option::is_none) {
+            break;
+        }
+        for (f, m) in meshes.iter_mut().enumerate() {
+            let marked: Vec<(Vec3, f64, f64)> = (0..sizes.len())
+                .filter(|&i| stage.mesh.patches[i].face as usize == f)
+                .filter_map(|i| {
+                    let c = stage.mesh.centroid(i);
+                    let reach = stage.mesh.corners(i).iter().map(|p| p.distance(c)).fold(0.0, f32::max);
+                    Some((c, f64::from(reach), sizes[i]?))
+                })
+                .collect();
+            if let (Some(m), false) = (m, marked.is_empty()) {
+                m.refine(|p| {
+                    let near = marked.iter().filter(|(c, reach, _)| f64::from(p.distance(*c)) < 0.7 * reach);
+                    near.map(|(_, _, size)| *size).fold(graded(settings.max_edge_m, p), f64::min)
+                });
+            }
+        }
+        stage = Stage::new(&meshes, env, plate);
+    }
+    Ok(stage.finish(env, settings, probe_blur))
+}
+
+/// A mesh with its radiance from probe and plate.
+struct Stage {
+    mesh: PatchMesh,
+    bvh: Bvh,
+    projected: Projected,
+    plate: Option<PlateSamples>,
+    /// Plate over probe luminance where both see a patch.
+    ratios: Vec<f64>,
+}
+
+impl Stage {
+    fn new(meshes: &[Option<FaceMesh>], env: &Environment, plate: Option<&Plate>) -> Self {
+        let mut mesh = assemble(meshes);
+        let bvh = Bvh::new(&mesh.vertices, &mesh.triangles());
+        let projected = project::from_probe(env, &mesh, &bvh);
+        let plate = plate.map(|p| project::from_plate(p.camera, p.radiance, p.clipped, &mesh, &bvh));
+        let mut ratios = Vec::new();
+        for i in 0..mesh.patches.len() {
+            let probe = projected.samples[i].mean();
+            let from_plate = plate.as_ref().and_then(|p| p.radiance(&mesh, i));
+            if let (Some(a), Some(b)) = (probe, from_plate)
+                && luminance(a) > 0.0
+                && luminance(b) > 0.0
+            {
+                ratios.push(f64::from(luminance(b)) / f64::from(luminance(a)));
+            }
+            let (radiance, evidence) = match (from_plate, probe) {
+                (Some(l), _) => (l, Evidence::Plate),
+                (None, Some(l)) => (l, Evidence::Probe),
+                (None, None) => ([0.0; 3], Evidence::Gathered),
+            };
+            mesh.patches[i].radiance = radiance;
+            mesh.patches[i].evidence = evidence;
+        }
+        ratios.sort_by(f64::total_cmp);
+        Self { mesh, bvh, projected, plate, ratios }
+    }
+
+    /// For patches to be split, the longest edge to be.
+    fn sizes(&self, settings: &config::Illuminate) -> Vec<Option<f64>> {
+        let all: f64 = (0..self.mesh.patches.len()).map(|i| power(&self.mesh, i)).sum();
+        let limit = settings.max_power_share * all.max(f64::MIN_POSITIVE);
+        (0..self.mesh.patches.len())
+            .map(|i| {
+                let [a, b, c] = self.mesh.corners(i);
+                let longest = f64::from((b - a).length().max((c - b).length()).max((a - c).length()));
+                // What a mean over the patch puts in the wrong place counts four times: borders of windows and lamps.
+                let samples = match self.mesh.patches[i].evidence {
+                    Evidence::Plate => self.plate.as_ref().map(|p| p.samples[i]),
+                    _ => Some(self.projected.samples[i]),
+                };
+                let misplaced = samples.map_or(0.0, |s| s.deviation()) * f64::from(self.mesh.area(i));
+                let split = power(&self.mesh, i) > limit || 4.0 * misplaced > limit;
+                (split && longest > settings.min_edge_m).then(|| (longest / 2.0).max(settings.min_edge_m))
+            })
+            .collect()
+    }
+
+    fn finish(
+        mut self,
+        env: &Environment,
+        settings: &config::Illuminate,
+        probe_blur: impl Fn(Vec3) -> f64,
+    ) -> Built {
+        let (distant, picture, open) = self.distant(env, settings, probe_blur);
+        let seen: Vec<bool> = self.mesh.patches.iter().map(|p| p.evidence != Evidence::Gathered).collect();
+        let gather = Gather::new(&self.mesh, &distant.sources, &self.bvh, |i| seen[i]);
+        let rho = settings.unseen_reflectance.clamp(0.0, MAX_REFLECTANCE);
+        let mut irradiance = gather.irradiance(&self.mesh);
+        for _ in 0..ROUNDS {
+            for (i, p) in self.mesh.patches.iter_mut().enumerate().filter(|(i, _)| !seen[*i]) {
+                p.radiance = irradiance[i].map(|e| rho * e / std::f32::consts::PI);
+                p.reflectance = [rho; 3];
+            }
+            irradiance = gather.irradiance(&self.mesh);
+        }
+        let (mut excess, mut reflected, mut area) = (0.0, 0.0, 0.0);
+        for i in 0..self.mesh.patches.len() {
+            let a = f64::from(self.mesh.area(i));
+            let p = &mut self.mesh.patches[i];
+            if seen[i] {
+                let raw: [f32; 3] = std::array::from_fn(|k| {
+                    std::f32::consts::PI * p.radiance[k] / irradiance[i][k].max(1e-12)
+                });
+                p.reflectance = raw.map(|r| r.clamp(0.0, MAX_REFLECTANCE));
+                excess += a * f64::from(u8::from(luminance(raw) > 1.0));
+            }
+            reflected += a * f64::from(luminance(p.reflectance));
+            area += a;
+        }
+        let figures = self.figures(&distant, open, excess / area, reflected / area);
+        let light = LightModel { mesh: self.mesh, distant: distant.sources };
+        Built { light, distant_picture: picture, figures }
+    }
+
+    fn distant(
+        &self,
+        env: &Environment,
+        settings: &config::Illuminate,
+        probe_blur: impl Fn(Vec3) -> f64,
+    ) -> (Distant, RadianceImage, f64) {
+        let free = &self.projected.free;
+        let open = (0..free.len()).map(|i| env.solid_angle(i) * f64::from(free[i])).sum::<f64>()
+            / (4.0 * std::f64::consts::PI);
+        let (w, h) = env.size();
+        if open < MIN_OPEN {
+            return (Distant::default(), Image::from_fn(w, h, |_, _| Radiance::default()), open);
+        }
+        let filled = fill_blind(env, free);
+        let layer = Layer { radiance: &filled, share: free };
+        (distant::cut(&layer, settings.distant_sources, probe_blur), layer.picture(), open)
+    }
+
+    fn figures(
+        &self,
+        distant: &Distant,
+        open: f64,
+        excess: f64,
+        reflectance: f64,
+    ) -> Vec<(&'static str, f64)> {
+        let n = self.mesh.patches.len();
+        let by = |e: Evidence| (0..n).filter(move |&i| self.mesh.patches[i].evidence == e);
+        let power_of = |e: Evidence| by(e).map(|i| power(&self.mesh, i)).sum::<f64>();
+        let all: f64 = (0..n).map(|i| power(&self.mesh, i)).sum::<f64>().max(f64::MIN_POSITIVE);
+        let mut figures = vec![
+            ("patches", n as f64),
+            ("patches_from_probe", by(Evidence::Probe).count() as f64),
+            ("patches_from_plate", by(Evidence::Plate).count() as f64),
+            ("patches_gathered", by(Evidence::Gathered).count() as f64),
+            ("power_share_from_probe", power_of(Evidence::Probe) / all),
+            ("power_share_from_plate", power_of(Evidence::Plate) / all),
+            ("power_share_gathered", power_of(Evidence::Gathered) / all),
+            ("mean_reflectance", reflectance),
+            ("emitting_area_share", excess),
+            ("behind_power_share", self.projected.behind_share),
+            ("open_share", open),
+            ("distant_sources", distant.sources.len() as f64),
+        ];
+        if let Some(radius) = distant.sun_radius {
+            figures.push(("sun_angular_radius_deg", radius.to_degrees()));
+        }
+        if let Some(median) = self.ratios.get(self.ratios.len() / 2) {
+            figures.push(("plate_over_probe_radiance", *median));
+        }
+        figures
+    }
+}
+
+/// The radiance with texels that the ball does not show taken from their open neighbours, ring by ring.
+fn fill_blind(env: &Environment, free: &[f32]) -> RadianceImage {
+    let (w, h) = env.size();
+    let mut radiance = env.radiance.clone();
+    let mut known: Vec<bool> = (0..w * h).map(|i| env.weight[i] > 0.25 && free[i] > 0.0).collect();
+    loop {
+        let ring: Vec<(usize, [f32; 3])> = (0..w * h)
+            .filter(|&i| !known[i] && free[i] > 0.0)
+            .filter_map(|i| {
+                let (x, y) = (i % w, i / w);
+                let (mut sum, mut count) = ([0.0f32; 3], 0.0f32);
+                for v in y.saturating_sub(1)..(y + 2).min(h) {
+                    for u in [(x + w - 1) % w, x, (x + 1) % w] {
+                        if known[v * w + u] {
+                            (0..3).for_each(|k| sum[k] += radiance.at(u, v).0[k]);
+                            count += 1.0;
+                        }
+                    }
+                }
+                (count > 0.0).then(|| (i, sum.map(|s| s / count)))
+            })
+            .collect();
+        if ring.is_empty() {
+            break;
+        }
+        for (i, l) in ring {
+            radiance.pixels_mut()[i] = Radiance(l);
+            known[i] = true;
+        }
+    }
+    for i in (0..w * h).filter(|&i| !known[i]) {
+        radiance.pixels_mut()[i] = Radiance::default();
+    }
+    radiance
+}
+
+#[cfg(test)]
+#[path = "build_tests.rs"]
+mod tests;

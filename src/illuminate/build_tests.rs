@@ -1,0 +1,87 @@
+use super::*;
+use crate::illuminate::room;
+
+/// What a probe at `at` sees of a room whose ceiling lamp sends 20 and whose walls send 0.5.
+fn environment(at: Vec3) -> Environment {
+    let triangles = crate::model::face::triangulate(&room::faces(4.0, 2.5, 4.0));
+    let bvh = Bvh::new(&triangles.vertices, &triangles.triangles);
+    Environment::from_fn(512, at, |d| {
+        let hit = bvh.closest(at, d, 0.0, f32::MAX).unwrap();
+        let p = at + d * hit.t;
+        let lamp = p.y > 2.499 && (p.x - 0.5).abs() < 0.3 && p.z.abs() < 0.3;
+        [if lamp { 20.0 } else { 0.5 }; 3]
+    })
+}
+
+fn built(settings: &config::Illuminate) -> Built {
+    let env = environment(Vec3::new(0.3, 0.6, -0.4));
+    build(&room::faces(4.0, 2.5, 4.0), &env, None, settings, |_| 0.0).unwrap()
+}
+
+#[test]
+fn a_rooms_radiance_is_recovered_and_its_lamp_resolved() {
+    let light = built(&config::Illuminate::default()).light;
+    assert!(light.distant.is_empty(), "a closed room has no distant light");
+    let truth = 20.0 * 0.36 + 0.5 * (2.0 * (16.0 + 10.0 + 10.0) - 0.36);
+    let sent: f64 = (0..light.mesh.patches.len()).map(|i| power(&light.mesh, i)).sum();
+    assert!((sent / truth - 1.0).abs() < 0.02, "power {sent} of {truth}");
+    let (mut wrong, mut area) = (0.0, 0.0);
+    for (i, p) in light.mesh.patches.iter().enumerate() {
+        let c = light.mesh.centroid(i);
+        let lamp = c.y > 2.499 && (c.x - 0.5).abs() < 0.3 && c.z.abs() < 0.3;
+        let expected = if lamp { 20.0 } else { 0.5 };
+        wrong += f64::from(light.mesh.area(i) * (p.radiance[0] - expected).abs());
+        area += f64::from(light.mesh.area(i));
+    }
+    assert!(wrong / truth < 0.07, "{:.3} of the power is misplaced", wrong / truth);
+    assert!(area > 71.9);
+}
+
+#[test]
+fn an_open_sky_becomes_distant_light_of_the_same_power() {
+    let ground = vec![room::faces(10.0, 1.0, 10.0)[0].clone()];
+    let env = Environment::from_fn(128, Vec3::new(0.0, 0.1, 0.0), |d| [if d.y > 0.0 { 2.0 } else { 0.3 }; 3]);
+    let built = build(&ground, &env, None, &config::Illuminate::default(), |_| 0.0).unwrap();
+    let up: f64 = built
+        .light
+        .distant
+        .iter()
+        .filter(|s| s.direction.y > 0.02)
+        .map(|s| f64::from(s.radiance[0]) * f64::from(s.solid_angle_sr))
+        .sum();
+    assert!((up / (4.0 * std::f64::consts::PI) - 1.0).abs() < 0.03, "{up}");
+    // Under a sky of 2, ground of radiance 0.3 has reflectance 0.15.
+    let near =
+        (0..built.light.mesh.patches.len()).find(|&i| built.light.mesh.centroid(i).length() < 0.5).unwrap();
+    assert!((built.light.mesh.patches[near].reflectance[0] - 0.15).abs() < 0.01);
+}
+
+#[test]
+fn what_the_probe_does_not_see_gathers_light() {
+    let mut faces = room::faces(4.0, 2.5, 4.0);
+    let shelf = [[-1.0, 0.3], [-1.0, 0.9], [-0.5, 0.9], [-0.5, 0.3]];
+    let corners = shelf.map(|[x, z]| nalgebra::Point3::new(x, 1.2, z)).to_vec();
+    faces.push(Face { name: "shelf.top".into(), vertices: corners });
+    let env = environment(Vec3::new(0.3, 0.6, -0.4));
+    let light = build(&faces, &env, None, &config::Illuminate::default(), |_| 0.0).unwrap().light;
+    let top: Vec<_> = light.mesh.patches.iter().filter(|p| p.face == 6).collect();
+    assert!(!top.is_empty() && top.iter().all(|p| p.evidence == Evidence::Gathered));
+    assert!(top.iter().all(|p| p.radiance[0] > 0.2 && p.radiance[0] < 2.0 && p.reflectance == [0.5; 3]));
+}
+
+#[test]
+fn refusals_say_why() {
+    let env = environment(Vec3::new(0.0, 1.0, 0.0));
+    let settings = config::Illuminate::default();
+    let problem = |faces: &[Face], env: &Environment, s: &config::Illuminate| {
+        build(faces, env, None, s, |_| 0.0).map(|_| ()).unwrap_err()
+    };
+    assert_eq!(problem(&[], &env, &settings), Problem::NoFaces(0));
+    let dark = Environment::from_fn(32, Vec3::Y, |_| [0.0; 3]);
+    assert_eq!(problem(&room::faces(1., 1., 1.), &dark, &settings), Problem::Dark);
+    let bad = config::Illuminate { max_edge_m: -1.0, ..settings };
+    assert_eq!(
+        problem(&room::faces(1., 1., 1.), &env, &bad),
+        Problem::Setting { name: "max_edge_m", value: -1.0 }
+    );
+}
