@@ -288,6 +288,8 @@ settings! {
         backend: Backend = Backend::Cpu,
         /// Side of a shadow map, texels.
         shadow_map_px: usize = 256,
+        /// A source that the object sees under a larger angle gets several shadow maps.
+        source_angle_deg: f64 = 10.0,
         /// Only so many of the strongest sources; 0 for all of the source set.
         max_sources: usize = 0,
         /// Shadow rays per pixel of the method `raytraced`.

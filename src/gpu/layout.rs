@@ -1,0 +1,72 @@
+//! Structs as the shaders of `shaders/` see them.
+
+use bytemuck::{Pod, Zeroable};
+
+/// `Frame` of shadow_map_types.wgsl.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+pub(crate) struct Frame {
+    pub map_px: u32,
+    pub maps: u32,
+    pub pixels: u32,
+    pub columns: u32,
+}
+
+/// `ShadowMap` of shadow_map_types.wgsl.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+pub(crate) struct ShadowMap {
+    pub map_from_world: [[f32; 4]; 4],
+    pub planes: [[f32; 4]; 4],
+    pub radiance: [f32; 3],
+    pub row: u32,
+}
+
+/// `Receiver` of subtract_transfers.wgsl.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+pub(crate) struct Receiver {
+    pub position: [f32; 3],
+    pub column_a: u32,
+    pub normal: [f32; 3],
+    pub column_b: u32,
+    pub barycentric: [f32; 3],
+    pub column_c: u32,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gpu::shaders;
+    use std::mem::{offset_of, size_of};
+    use wgpu::naga::TypeInner;
+
+    /// Byte offset of each member and the stride of a struct, as naga lays it out.
+    fn reflect(module: &wgpu::naga::Module, name: &str) -> (Vec<(String, u32)>, u32) {
+        let of_name = |t: &&wgpu::naga::Type| t.name.as_deref().is_some_and(|n| n.starts_with(name));
+        let (_, found) = module.types.iter().find(|(_, t)| of_name(t)).unwrap();
+        match &found.inner {
+            TypeInner::Struct { members, span } => {
+                (members.iter().map(|m| (m.name.clone().unwrap(), m.offset)).collect(), *span)
+            }
+            other => panic!("{name} is {other:?}"),
+        }
+    }
+
+    macro_rules! same_layout {
+        ($module:expr, $type:ident { $($field:ident),* }) => {
+            let (members, span) = reflect($module, stringify!($type));
+            let ours = vec![$((stringify!($field).to_string(), offset_of!($type, $field) as u32)),*];
+            assert_eq!(members, ours, stringify!($type));
+            assert_eq!(span as usize, size_of::<$type>());
+        };
+    }
+
+    #[test]
+    fn structs_lie_as_the_shaders_read_them() {
+        let module = &shaders::compose(shaders::SUBTRACT_TRANSFERS).unwrap().0;
+        same_layout!(module, Frame { map_px, maps, pixels, columns });
+        same_layout!(module, ShadowMap { map_from_world, planes, radiance, row });
+        same_layout!(module, Receiver { position, column_a, normal, column_b, barycentric, column_c });
+    }
+}

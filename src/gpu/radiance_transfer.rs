@@ -1,0 +1,387 @@
+//! One shadow map per source on the graphics processor: raster passes draw the maps of a batch, a compute pass adds
+//! what they block.
+
+use super::layout::{Frame, Receiver, ShadowMap};
+use super::{Device, shaders};
+use crate::config::Render;
+use crate::shadow::{self, MapPlan, Occluder, Problem, Removed, Scene};
+use wgpu::util::DeviceExt;
+
+/// Bytes of shadow maps that are held at a time.
+const BATCH_BYTES: usize = 64 << 20;
+/// Invocations of a workgroup, as in subtract_transfers.wgsl.
+const WORKGROUP: usize = 64;
+
+/// The method with everything static on the device; only the object changes from frame to frame.
+pub struct RadianceTransfer {
+    /// The same method in plain Rust: plans the maps, does the sources that are too near for one.
+    plain: shadow::RadianceTransfer,
+    device: Device,
+    draw: wgpu::RenderPipeline,
+    subtract: wgpu::ComputePipeline,
+    /// Rows of the transfers, in as many buffers as the device's limits demand.
+    transfers: Vec<wgpu::Buffer>,
+    rows_per_buffer: usize,
+    pixels: Vec<PixelBlock>,
+    maps: wgpu::Buffer,
+    texture: wgpu::Texture,
+    depths: wgpu::TextureView,
+    layers: Vec<wgpu::TextureView>,
+}
+
+/// The occluder on the device.
+struct Mesh {
+    vertices: wgpu::Buffer,
+    indices: wgpu::Buffer,
+    index_count: u32,
+}
+
+/// Receiver pixels within the device's limits.
+struct PixelBlock {
+    receivers: wgpu::Buffer,
+    blocked: wgpu::Buffer,
+    count: usize,
+}
+
+impl RadianceTransfer {
+    /// Uploads everything that does not depend on the object.
+    pub fn prepare(scene: &Scene, settings: &Render) -> Result<Self, Problem> {
+        let plain = shadow::RadianceTransfer::prepare(scene, settings)?;
+        let device = Device::open()?;
+        let most = device.limits.max_storage_buffer_binding_size.min(device.limits.max_buffer_size) as usize;
+        let storage = wgpu::BufferUsages::STORAGE;
+
+        let (rows, columns) = plain.transfer().dim();
+        let rows_per_buffer = (most / (4 * columns.max(1))).clamp(1, rows.max(1));
+        let all = plain.transfer().as_slice().unwrap_or(&[]);
+        let transfers = all
+            .chunks(rows_per_buffer * columns.max(1))
+            .map(|chunk| device.upload("transfers", bytemuck::cast_slice(chunk), storage))
+            .collect();
+
+        let per_block = (most / size_of::<Receiver>()).min(65_535 * WORKGROUP);
+        let pixels = plain.pixels().chunks(per_block).map(|pixels| PixelBlock::new(&device, pixels)).collect();
+
+        let size = settings.shadow_map_px;
+        let batch = (BATCH_BYTES / (4 * size * size)).clamp(1, device.limits.max_texture_array_layers as usize);
+        let texture = device.device.create_texture(&wgpu::TextureDescriptor {
+            label: Some("shadow maps"),
+            size: wgpu::Extent3d {
+                width: size as u32,
+                height: size as u32,
+                depth_or_array_layers: batch as u32,
+            },
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format: wgpu::TextureFormat::Depth32Float,
+            usage: wgpu::TextureUsages::RENDER_ATTACHMENT
+                | wgpu::TextureUsages::TEXTURE_BINDING
+                | wgpu::TextureUsages::COPY_SRC,
+            view_formats: &[],
+        });
+        let layer = |i: usize| wgpu::TextureViewDescriptor {
+            dimension: Some(wgpu::TextureViewDimension::D2),
+            base_array_layer: i as u32,
+            array_layer_count: Some(1),
+            ..Default::default()
+        };
+        let maps = device.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("map parameters"),
+            size: (batch * size_of::<ShadowMap>()) as u64,
+            usage: storage | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        Ok(Self {
+            draw: draw_pipeline(&device)?,
+            subtract: subtract_pipeline(&device)?,
+            layers: (0..batch).map(|i| texture.create_view(&layer(i))).collect(),
+            depths: texture.create_view(&wgpu::TextureViewDescriptor {
+                dimension: Some(wgpu::TextureViewDimension::D2Array),
+                ..Default::default()
+            }),
+            texture,
+            plain,
+            device,
+            transfers,
+            rows_per_buffer,
+            pixels,
+            maps,
+        })
+    }
+
+    /// Name of the adapter.
+    pub fn adapter(&self) -> &str {
+        &self.device.adapter
+    }
+
+    /// ε for an object.
+    pub fn removed_radiance(&self, occluder: &Occluder) -> Result<Removed, Problem> {
+        occluder.check()?;
+        let plans = self.plain.plan(occluder);
+        let (maps, rays): (Vec<&MapPlan>, Vec<&MapPlan>) = plans.iter().partition(|p| p.projection.is_some());
+        let errors = self.device.device.push_error_scope(wgpu::ErrorFilter::Validation);
+        let memory = self.device.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
+        let mesh = self.device.mesh(occluder);
+        let mut encoder = self.device.device.create_command_encoder(&Default::default());
+        self.pixels.iter().for_each(|block| encoder.clear_buffer(&block.blocked, 0, None));
+        self.device.queue.submit([encoder.finish()]);
+        for same_buffer in maps.chunk_by(|a, b| self.buffer_of(a) == self.buffer_of(b)) {
+            for batch in same_buffer.chunks(self.layers.len()) {
+                self.add(batch, &mesh);
+            }
+        }
+        let blocked = self.read_blocked();
+        for scope in [memory, errors] {
+            if let Some(e) = pollster::block_on(scope.pop()) {
+                return Err(self.device.problem(e).into());
+            }
+        }
+        Ok(self.plain.finish(occluder, &rays, blocked?, plans.len()))
+    }
+
+    fn buffer_of(&self, plan: &MapPlan) -> usize {
+        plan.source as usize / self.rows_per_buffer
+    }
+
+    /// Draws a batch of maps whose transfers lie in one buffer, and adds what they block.
+    fn add(&self, plans: &[&MapPlan], occluder: &Mesh) {
+        let Some(first) = plans.first() else { return };
+        let mut encoder = self.device.device.create_command_encoder(&Default::default());
+        self.draw(plans, occluder, &mut encoder);
+        for block in &self.pixels {
+            let frame = self.frame(plans.len(), block.count);
+            let transfers = &self.transfers[self.buffer_of(first)];
+            let buffers = [&frame, &self.maps, &block.receivers, transfers, &block.blocked];
+            let layout = self.subtract.get_bind_group_layout(0);
+            let group = self.device.bind(&layout, &buffers, Some(&self.depths));
+            let mut pass = encoder.begin_compute_pass(&Default::default());
+            pass.set_pipeline(&self.subtract);
+            pass.set_bind_group(0, &group, &[]);
+            pass.dispatch_workgroups(block.count.div_ceil(WORKGROUP) as u32, 1, 1);
+        }
+        self.device.queue.submit([encoder.finish()]);
+    }
+
+    /// Draws at most as many maps as there are layers.
+    fn draw(&self, plans: &[&MapPlan], occluder: &Mesh, encoder: &mut wgpu::CommandEncoder) {
+        let parameters: Vec<ShadowMap> = plans
+            .iter()
+            .filter_map(|plan| {
+                let projection = plan.projection?;
+                Some(ShadowMap {
+                    map_from_world: projection.map_from_world.to_cols_array_2d(),
+                    planes: projection.planes.to_cols_array_2d(),
+                    radiance: self.plain.map_radiance(plan),
+                    row: (plan.source as usize % self.rows_per_buffer) as u32,
+                })
+            })
+            .collect();
+        self.device.queue.write_buffer(&self.maps, 0, bytemuck::cast_slice(&parameters));
+        let frame = self.frame(plans.len(), 0);
+        let group = self.device.bind(&self.draw.get_bind_group_layout(0), &[&frame, &self.maps], None);
+        for (i, layer) in self.layers[..plans.len()].iter().enumerate() {
+            let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+                depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
+                    view: layer,
+                    depth_ops: Some(wgpu::Operations {
+                        load: wgpu::LoadOp::Clear(1.0),
+                        store: wgpu::StoreOp::Store,
+                    }),
+                    stencil_ops: None,
+                }),
+                ..Default::default()
+            });
+            pass.set_pipeline(&self.draw);
+            pass.set_bind_group(0, &group, &[]);
+            pass.set_vertex_buffer(0, occluder.vertices.slice(..));
+            pass.set_index_buffer(occluder.indices.slice(..), wgpu::IndexFormat::Uint32);
+            pass.draw_indexed(0..occluder.index_count, 0, i as u32..i as u32 + 1);
+        }
+    }
+
+    /// The shadow maps of an object, for those sources that are not too near for one.
+    pub fn shadow_maps(&self, occluder: &Occluder) -> Result<Vec<shadow::ShadowMap>, Problem> {
+        occluder.check()?;
+        let plans = self.plain.plan(occluder);
+        let plans: Vec<&MapPlan> = plans.iter().filter(|p| p.projection.is_some()).collect();
+        let mesh = self.device.mesh(occluder);
+        let size = self.plain.map_px();
+        let bytes_per_row = (4 * size).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT as usize);
+        let mut maps = Vec::with_capacity(plans.len());
+        for batch in plans.chunks(self.layers.len()) {
+            let staging = self.device.staging((bytes_per_row * size * batch.len()) as u64);
+            let mut encoder = self.device.device.create_command_encoder(&Default::default());
+            self.draw(batch, &mesh, &mut encoder);
+            let layout = wgpu::TexelCopyBufferLayout {
+                offset: 0,
+                bytes_per_row: Some(bytes_per_row as u32),
+                rows_per_image: Some(size as u32),
+            };
+            encoder.copy_texture_to_buffer(
+                self.texture.as_image_copy(),
+                wgpu::TexelCopyBufferInfo { buffer: &staging, layout },
+                wgpu::Extent3d { depth_or_array_layers: batch.len() as u32, ..self.texture.size() },
+            );
+            self.device.queue.submit([encoder.finish()]);
+            let values: Vec<f32> = self.device.read(&staging)?;
+            for (image, plan) in values.chunks(bytes_per_row / 4 * size).zip(batch) {
+                let depth = image.chunks(bytes_per_row / 4).flat_map(|row| &row[..size]).copied().collect();
+                maps.extend(plan.projection.map(|projection| shadow::ShadowMap { projection, size, depth }));
+            }
+        }
+        Ok(maps)
+    }
+
+    fn frame(&self, maps: usize, pixels: usize) -> wgpu::Buffer {
+        let frame = Frame {
+            map_px: self.plain.map_px() as u32,
+            maps: maps as u32,
+            pixels: pixels as u32,
+            columns: self.plain.transfer().ncols() as u32,
+        };
+        self.device.upload("frame", bytemuck::bytes_of(&frame), wgpu::BufferUsages::UNIFORM)
+    }
+
+    fn read_blocked(&self) -> Result<Vec<[f32; 3]>, super::Problem> {
+        let mut blocked = Vec::with_capacity(self.plain.pixels().len());
+        for block in &self.pixels {
+            let staging = self.device.staging((block.count * 16) as u64);
+            let mut encoder = self.device.device.create_command_encoder(&Default::default());
+            encoder.copy_buffer_to_buffer(&block.blocked, 0, &staging, 0, staging.size());
+            self.device.queue.submit([encoder.finish()]);
+            let values: Vec<[f32; 4]> = self.device.read(&staging)?;
+            blocked.extend(values.iter().map(|&[r, g, b, _]| [r, g, b]));
+        }
+        Ok(blocked)
+    }
+}
+
+impl PixelBlock {
+    fn new(device: &Device, pixels: &[shadow::Pixel]) -> Self {
+        let receivers: Vec<Receiver> = pixels
+            .iter()
+            .map(|p| Receiver {
+                position: p.position.to_array(),
+                column_a: p.columns[0],
+                normal: p.normal.to_array(),
+                column_b: p.columns[1],
+                barycentric: p.barycentric,
+                column_c: p.columns[2],
+            })
+            .collect();
+        let storage = wgpu::BufferUsages::STORAGE;
+        Self {
+            receivers: device.upload("receivers", bytemuck::cast_slice(&receivers), storage),
+            blocked: device.device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some("blocked irradiance"),
+                size: (pixels.len() * 16) as u64,
+                usage: storage | wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST,
+                mapped_at_creation: false,
+            }),
+            count: pixels.len(),
+        }
+    }
+}
+
+impl Device {
+    fn upload(&self, label: &str, contents: &[u8], usage: wgpu::BufferUsages) -> wgpu::Buffer {
+        self.device.create_buffer_init(&wgpu::util::BufferInitDescriptor { label: Some(label), contents, usage })
+    }
+
+    fn mesh(&self, occluder: &Occluder) -> Mesh {
+        let (vertices, triangles) =
+            (bytemuck::cast_slice(&occluder.vertices), bytemuck::cast_slice(&occluder.triangles));
+        Mesh {
+            vertices: self.upload("occluder", vertices, wgpu::BufferUsages::VERTEX),
+            indices: self.upload("occluder's triangles", triangles, wgpu::BufferUsages::INDEX),
+            index_count: occluder.triangles.len() as u32 * 3,
+        }
+    }
+
+    /// A buffer to read results from.
+    fn staging(&self, size: u64) -> wgpu::Buffer {
+        self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("for reading"),
+            size,
+            usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        })
+    }
+
+    /// Waits for the device and reads a staging buffer.
+    fn read<T: bytemuck::Pod>(&self, staging: &wgpu::Buffer) -> Result<Vec<T>, super::Problem> {
+        let (sender, receiver) = std::sync::mpsc::channel();
+        staging.map_async(wgpu::MapMode::Read, .., move |outcome| drop(sender.send(outcome)));
+        self.device.poll(wgpu::PollType::wait_indefinitely()).map_err(|e| self.problem(e))?;
+        let outcome = receiver.recv().map_err(|e| self.problem(e))?;
+        outcome.map_err(|e| self.problem(e))?;
+        let range = staging.get_mapped_range(..).map_err(|e| self.problem(e))?;
+        Ok(bytemuck::pod_collect_to_vec(&range))
+    }
+
+    /// Buffers at bindings 0, 1, …, then a texture.
+    fn bind(
+        &self,
+        layout: &wgpu::BindGroupLayout,
+        buffers: &[&wgpu::Buffer],
+        texture: Option<&wgpu::TextureView>,
+    ) -> wgpu::BindGroup {
+        let resources = buffers
+            .iter()
+            .map(|b| b.as_entire_binding())
+            .chain(texture.map(wgpu::BindingResource::TextureView));
+        let entries: Vec<_> = resources
+            .enumerate()
+            .map(|(i, resource)| wgpu::BindGroupEntry { binding: i as u32, resource })
+            .collect();
+        self.device.create_bind_group(&wgpu::BindGroupDescriptor { label: None, layout, entries: &entries })
+    }
+
+    fn shader(&self, shader: shaders::Shader) -> Result<wgpu::ShaderModule, super::Problem> {
+        let source = wgpu::ShaderSource::Wgsl(shaders::wgsl(shader)?.into());
+        Ok(self.device.create_shader_module(wgpu::ShaderModuleDescriptor { label: None, source }))
+    }
+}
+
+fn draw_pipeline(device: &Device) -> Result<wgpu::RenderPipeline, super::Problem> {
+    let module = device.shader(shaders::SHADOW_MAP)?;
+    Ok(device.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+        label: Some("draw shadow map"),
+        layout: None,
+        vertex: wgpu::VertexState {
+            module: &module,
+            entry_point: Some("draw"),
+            compilation_options: Default::default(),
+            buffers: &[Some(wgpu::VertexBufferLayout {
+                array_stride: 12,
+                step_mode: wgpu::VertexStepMode::Vertex,
+                attributes: &wgpu::vertex_attr_array![0 => Float32x3],
+            })],
+        },
+        primitive: wgpu::PrimitiveState::default(),
+        depth_stencil: Some(wgpu::DepthStencilState {
+            format: wgpu::TextureFormat::Depth32Float,
+            depth_write_enabled: Some(true),
+            depth_compare: Some(wgpu::CompareFunction::Less),
+            stencil: Default::default(),
+            bias: Default::default(),
+        }),
+        multisample: Default::default(),
+        fragment: None,
+        multiview_mask: None,
+        cache: None,
+    }))
+}
+
+fn subtract_pipeline(device: &Device) -> Result<wgpu::ComputePipeline, super::Problem> {
+    let module = device.shader(shaders::SUBTRACT_TRANSFERS)?;
+    Ok(device.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+        label: Some("subtract transfers"),
+        layout: None,
+        module: &module,
+        entry_point: Some("subtract"),
+        compilation_options: Default::default(),
+        cache: None,
+    }))
+}

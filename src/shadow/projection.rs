@@ -1,0 +1,294 @@
+//! Where shadow maps look from, and how they project.
+
+use super::Occluder;
+use crate::illuminate::patch::LightModel;
+use crate::transfer::{Source, SourceKind};
+use glam::{DMat4, DVec3, DVec4, Mat4, Vec3, Vec4};
+
+/// Bounding box and sphere of an occluder.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Bounds {
+    /// Least coordinates, m.
+    pub min: Vec3,
+    /// Largest coordinates, m.
+    pub max: Vec3,
+    /// Centre of the box, m.
+    pub centre: Vec3,
+    /// Distance from the centre to the farthest vertex, m.
+    pub radius: f32,
+}
+
+impl Bounds {
+    /// Of the vertices that triangles use.
+    pub fn of(occluder: &Occluder) -> Self {
+        let used = || occluder.triangles.iter().flatten().map(|&v| occluder.vertices[v as usize]);
+        let min = used().fold(Vec3::INFINITY, Vec3::min);
+        let max = used().fold(Vec3::NEG_INFINITY, Vec3::max);
+        let centre = (min + max) / 2.0;
+        let radius = used().map(|p| p.distance(centre)).fold(1e-4, f32::max);
+        Self { min, max, centre, radius }
+    }
+
+    fn corners(&self) -> [DVec3; 8] {
+        // A flat object gets a little depth, so that every frustum has a volume.
+        let pad = DVec3::splat(f64::from(self.radius) * 1e-3);
+        let (a, b) = (self.min.as_dvec3() - pad, self.max.as_dvec3() + pad);
+        std::array::from_fn(|i| {
+            DVec3::select(glam::BVec3::new(i & 1 > 0, i & 2 > 0, i & 4 > 0), b, a)
+        })
+    }
+}
+
+/// Where the light of a shadow map comes from.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum ShadowOrigin {
+    /// A point on a patch, m.
+    Point(Vec3),
+    /// A unit direction towards distant light.
+    Direction(Vec3),
+}
+
+/// World to shadow map.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Projection {
+    /// Homogeneous world point to (column·w, row·w, depth·w, w): columns and rows in texels, depth 0 at the nearest
+    /// and 1 at the farthest corner of the occluder's box. Depth is affine over the map for any plane.
+    pub map_from_world: Mat4,
+    /// Inverse transpose, which takes planes along.
+    pub planes: Mat4,
+}
+
+/// The border of a map stays free of the occluder by this many texels, so that lookups outside are unshadowed.
+const MARGIN: f64 = 2.0;
+/// Widest half angle of a frustum, as a tangent; a source that needs more is too near for a map.
+const WIDEST: f64 = 4.0;
+
+impl Projection {
+    /// Frustum (or box, for distant light) around the occluder, `size` texels on a side. `None` where the source is
+    /// in or too near the occluder's box.
+    pub fn fit(origin: ShadowOrigin, bounds: &Bounds, size: usize) -> Option<Self> {
+        let centre = bounds.centre.as_dvec3();
+        let (eye, forward) = match origin {
+            ShadowOrigin::Point(p) => (p.as_dvec3(), (centre - p.as_dvec3()).try_normalize()?),
+            ShadowOrigin::Direction(d) => (centre, -d.as_dvec3().try_normalize()?),
+        };
+        let (right, down) = forward.any_orthonormal_pair();
+        let perspective = matches!(origin, ShadowOrigin::Point(_));
+        let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        for corner in bounds.corners() {
+            let v = corner - eye;
+            let z = v.dot(forward);
+            if perspective && z <= 0.05 * f64::from(bounds.radius) {
+                return None;
+            }
+            let w = if perspective { z } else { 1.0 };
+            let p = DVec3::new(v.dot(right) / w, v.dot(down) / w, z);
+            (low, high) = (low.min(p), high.max(p));
+        }
+        if perspective && low.truncate().abs().max(high.truncate().abs()).max_element() > WIDEST {
+            return None;
+        }
+        let scale = (size as f64 - 2.0 * MARGIN) / (high - low).truncate();
+        let (near, far) = (low.z, high.z);
+        // Rows act on view coordinates (x, y, z, 1).
+        let (column, row, depth, w);
+        if perspective {
+            w = DVec4::Z;
+            depth = DVec4::new(0.0, 0.0, far, -far * near) / (far - near);
+            column = DVec4::new(scale.x, 0.0, MARGIN - low.x * scale.x, 0.0);
+            row = DVec4::new(0.0, scale.y, MARGIN - low.y * scale.y, 0.0);
+        } else {
+            w = DVec4::W;
+            depth = DVec4::new(0.0, 0.0, 1.0, -near) / (far - near);
+            column = DVec4::new(scale.x, 0.0, 0.0, MARGIN - low.x * scale.x);
+            row = DVec4::new(0.0, scale.y, 0.0, MARGIN - low.y * scale.y);
+        }
+        let map_from_view = DMat4::from_cols(column, row, depth, w).transpose();
+        let view_from_world = DMat4::from_cols(
+            right.extend(-right.dot(eye)),
+            down.extend(-down.dot(eye)),
+            forward.extend(-forward.dot(eye)),
+            DVec4::W,
+        )
+        .transpose();
+        let map_from_world = map_from_view * view_from_world;
+        let planes = map_from_world.inverse().transpose();
+        let whole = map_from_world.is_finite() && planes.is_finite();
+        whole.then(|| Self { map_from_world: map_from_world.as_mat4(), planes: planes.as_mat4() })
+    }
+
+    /// Column, row (texels), depth and w of a world point.
+    pub fn project(&self, p: Vec3) -> Vec4 {
+        self.map_from_world * p.extend(1.0)
+    }
+}
+
+/// One shadow map to draw, or one origin to send rays to.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MapPlan {
+    /// Index into [`crate::transfer::Transfers::sources`].
+    pub source: u32,
+    /// Where its light is taken to come from.
+    pub origin: ShadowOrigin,
+    /// Its share of the source's transfer.
+    pub weight: f32,
+    /// How to draw it; `None`: too near for a map, use rays.
+    pub projection: Option<Projection>,
+    /// Axis of the shadow: from the origin through the occluder's centre.
+    axis: Vec3,
+    /// Sine and cosine of the cone around the occluder's sphere; 0 and 1 for distant light.
+    sine: f32,
+    cosine: f32,
+    bounds: Bounds,
+}
+
+/// Most times that a patch is split into four origins.
+const MOST_SPLITS: u32 = 3;
+/// A part that sends less than this share of all light is not split: the steps of its shadow are below what shows.
+const SPLIT_SHARE: f64 = 1e-3;
+
+/// The maps of some sources for an occluder. A strong patch that the object sees under more than `max_angle` rad is
+/// cut into four, sixteen, … origins: one hard shadow would be too coarse a penumbra.
+pub fn plan(
+    light: &LightModel,
+    sources: &[Source],
+    occluder: &Occluder,
+    size: usize,
+    max_angle: f32,
+) -> Vec<MapPlan> {
+    let bounds = Bounds::of(occluder);
+    let mut plans = Vec::with_capacity(sources.len());
+    for (i, source) in sources.iter().enumerate() {
+        let mut add = |origin, weight| plans.push(MapPlan::new(i as u32, origin, weight, bounds, size));
+        match source.kind {
+            SourceKind::Patch(p) => {
+                let corners = light.mesh.corners(p as usize);
+                let lift = light.mesh.normal(p as usize) * 1e-4;
+                let splits = splits(corners, &bounds, max_angle, source.power_share);
+                let weight = 0.25f32.powi(splits as i32);
+                centroids(corners, splits, &mut |c| add(ShadowOrigin::Point(c + lift), weight));
+            }
+            SourceKind::Distant(d) => {
+                add(ShadowOrigin::Direction(light.distant[d as usize].direction), 1.0);
+            }
+        }
+    }
+    plans
+}
+
+fn splits([a, b, c]: [Vec3; 3], bounds: &Bounds, max_angle: f32, power_share: f64) -> u32 {
+    let edge = a.distance(b).max(b.distance(c)).max(c.distance(a));
+    let distance = ((a + b + c) / 3.0).distance(bounds.centre.clamp(bounds.min, bounds.max));
+    let angle = edge / distance.max(edge * 1e-2);
+    let by_angle = (angle / max_angle).log2().ceil().max(0.0) as u32;
+    let by_power = ((power_share / SPLIT_SHARE).log2() / 2.0).ceil().max(0.0) as u32;
+    by_angle.min(by_power).min(MOST_SPLITS)
+}
+
+fn centroids([a, b, c]: [Vec3; 3], splits: u32, visit: &mut impl FnMut(Vec3)) {
+    if splits == 0 {
+        return visit((a + b + c) / 3.0);
+    }
+    let (ab, bc, ca) = ((a + b) / 2.0, (b + c) / 2.0, (c + a) / 2.0);
+    for part in [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]] {
+        centroids(part, splits - 1, visit);
+    }
+}
+
+impl MapPlan {
+    fn new(source: u32, origin: ShadowOrigin, weight: f32, bounds: Bounds, size: usize) -> Self {
+        let (axis, sine) = match origin {
+            ShadowOrigin::Point(p) => {
+                let v = bounds.centre - p;
+                (v.normalize_or_zero(), (bounds.radius / v.length().max(bounds.radius)).min(1.0))
+            }
+            ShadowOrigin::Direction(d) => (-d, 0.0),
+        };
+        let cosine = (1.0 - sine * sine).sqrt();
+        let projection = Projection::fit(origin, &bounds, size);
+        Self { source, origin, weight, projection, axis, sine, cosine, bounds }
+    }
+
+    /// Whether the occluder can shadow anything in a sphere; may say yes where it cannot.
+    pub fn may_shadow(&self, centre: Vec3, radius: f32) -> bool {
+        match self.origin {
+            ShadowOrigin::Point(p) => {
+                if self.sine >= 1.0 {
+                    return true;
+                }
+                let v = centre - p;
+                let along = v.dot(self.axis);
+                let across = (v - self.axis * along).length();
+                let nearest = p.distance(self.bounds.centre) - self.bounds.radius;
+                across * self.cosine - along * self.sine <= radius && v.length() + radius >= nearest
+            }
+            ShadowOrigin::Direction(_) => {
+                let v = centre - self.bounds.centre;
+                let along = v.dot(self.axis);
+                let across = (v - self.axis * along).length();
+                across <= radius + self.bounds.radius && along + radius >= -self.bounds.radius
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn cube(centre: Vec3, half: f32) -> Occluder {
+        let vertices = (0..8)
+            .map(|i| centre + Vec3::new(s(i & 1), s(i >> 1 & 1), s(i >> 2 & 1)) * half)
+            .collect();
+        fn s(bit: i32) -> f32 {
+            2.0 * bit as f32 - 1.0
+        }
+        Occluder { vertices, triangles: vec![[0, 1, 2], [1, 2, 3], [4, 5, 6], [5, 6, 7]] }
+    }
+
+    proptest! {
+        #[test]
+        fn the_occluder_fills_the_map_and_stays_inside(
+            x in -3.0..3.0f32, y in -3.0..3.0f32, z in -3.0..3.0f32, distant in any::<bool>(),
+        ) {
+            let occluder = cube(Vec3::new(0.5, 0.2, -0.3), 0.2);
+            let from = Vec3::new(x, y, z);
+            prop_assume!(from.distance(Vec3::new(0.5, 0.2, -0.3)) > 0.6 && from.length() > 0.1);
+            let origin =
+                if distant { ShadowOrigin::Direction(from.normalize()) } else { ShadowOrigin::Point(from) };
+            let projection = Projection::fit(origin, &Bounds::of(&occluder), 64).unwrap();
+            let points: Vec<Vec3> = occluder.vertices.iter().map(|&v| {
+                let q = projection.project(v);
+                q.truncate() / q.w
+            }).collect();
+            let (low, high) = points.iter().fold((points[0], points[0]), |(a, b), p| (a.min(*p), b.max(*p)));
+            prop_assert!(low.x > 1.9 && low.y > 1.9 && high.x < 62.1 && high.y < 62.1);
+            prop_assert!(high.x - low.x > 55.0 && high.y - low.y > 55.0, "the map is used");
+            prop_assert!(low.z >= -1e-3 && high.z <= 1.001 && high.z - low.z > 0.9);
+        }
+
+        #[test]
+        fn cones_never_cull_what_is_shadowed(
+            x in -1.0..1.0f32, y in 0.5..2.0f32, z in -1.0..1.0f32, a in 0.0..1.0f32, b in 0.0..1.0f32, far in 1.0..4.0f32,
+            distant in any::<bool>(),
+        ) {
+            let occluder = cube(Vec3::ZERO, 0.2);
+            let from = Vec3::new(x, y, z);
+            let origin =
+                if distant { ShadowOrigin::Direction(from.normalize()) } else { ShadowOrigin::Point(from) };
+            let plan = MapPlan::new(0, origin, 1.0, Bounds::of(&occluder), 32);
+            let on = occluder.vertices[0].lerp(occluder.vertices[3], a).lerp(occluder.vertices[7], b);
+            let behind = if distant { on - from.normalize() * far } else { from + (on - from) * far };
+            prop_assert!(plan.may_shadow(behind, 0.01));
+        }
+    }
+
+    #[test]
+    fn a_source_inside_the_box_gets_no_map() {
+        let bounds = Bounds::of(&cube(Vec3::ZERO, 0.2));
+        assert!(Projection::fit(ShadowOrigin::Point(Vec3::new(0.1, 0.0, 0.0)), &bounds, 64).is_none());
+        assert!(Projection::fit(ShadowOrigin::Point(Vec3::ZERO), &bounds, 64).is_none());
+        assert!(Projection::fit(ShadowOrigin::Point(Vec3::new(0.21, 0.0, 0.0)), &bounds, 64).is_none());
+    }
+}

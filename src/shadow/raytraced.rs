@@ -1,0 +1,247 @@
+//! The reference: stratified rays from every pixel.
+//!
+//! ε = B · E_blocked / E, with E_blocked = Σ_j L_j ∫ V_scene (1 − V_object) cos θ cos θ′ / r² dA over the sources and
+//! E the same integral without the object, from the same samples, plus the interpolated irradiance of light outside
+//! the source set. Neither the interpolation of transfers between vertices nor the shadow maps enter.
+
+use super::tiles::{Pixel, Prepared};
+use super::{Bounds, Occluder, Problem, Removed, Scene};
+use crate::config::Render;
+use crate::image::{Radiance, RadianceImage, luminance};
+use crate::transfer::SourceKind;
+use crate::transfer::sampling::{Shift, in_cap, on_triangle};
+use crate::visibility::Bvh;
+use glam::Vec3;
+use rayon::prelude::*;
+
+/// Samples leave a receiver by this much, m.
+const OFFSET_M: f32 = 1e-4;
+const BEYOND_M: f32 = 1e5;
+
+struct Tracer<'a> {
+    lights: Vec<Light>,
+    /// Luminance that source j sends to vertex v, [v][j]: sampling weights.
+    weights: Vec<Vec<f32>>,
+    /// Irradiance from light outside the sources, by vertex.
+    rest: Vec<[f32; 3]>,
+    scene: Bvh,
+    object: Bvh,
+    bounds: Bounds,
+    settings: &'a Render,
+}
+
+enum Shape {
+    Patch { corners: [Vec3; 3], normal: Vec3, area: f32 },
+    Distant { direction: Vec3, solid_angle: f32, angular_radius: f32 },
+}
+
+struct Light {
+    shape: Shape,
+    radiance: [f32; 3],
+}
+
+/// One sample: its irradiance per channel, the segment to test, whether the object blocks it.
+#[derive(Clone, Copy, Default)]
+struct Sample {
+    irradiance: [f32; 3],
+    target: Vec3,
+    distant: bool,
+    blocked: bool,
+}
+
+/// ε by rays; the same for any number of threads, seeded by the settings.
+pub fn raytraced(scene: &Scene, occluder: &Occluder, settings: &Render) -> Result<Removed, Problem> {
+    occluder.check()?;
+    if settings.rays < 2 {
+        let value = settings.rays.to_string();
+        return Err(Problem::Setting { name: "rays", value, range: "2 or more" });
+    }
+    let prepared = Prepared::new(scene, settings)?;
+    let tracer = Tracer::new(scene, occluder, settings);
+    let found: Vec<[Radiance; 2]> = prepared
+        .pixels
+        .par_chunks(64)
+        .flat_map_iter(|pixels| {
+            let mut buffers = (Vec::new(), Vec::new());
+            pixels
+                .iter()
+                .map(|pixel| tracer.halves(pixel, prepared.plate.pixels()[pixel.index as usize], &mut buffers))
+                .collect::<Vec<_>>()
+        })
+        .collect();
+    let (width, height) = prepared.plate.size();
+    let mut epsilon = vec![Radiance::default(); width * height];
+    let (mut error, mut signal) = (0.0, 0.0);
+    for (pixel, [a, b]) in prepared.pixels.iter().zip(&found) {
+        let index = pixel.index as usize;
+        let mean = std::array::from_fn(|c| (a.0[c] + b.0[c]) / 2.0);
+        epsilon[index] = Radiance(mean);
+        if luminance(mean) > 0.02 * prepared.plate.pixels()[index].luminance() {
+            for c in 0..3 {
+                error += f64::from((a.0[c] - b.0[c]) / 2.0).powi(2);
+                signal += f64::from(mean[c]).powi(2);
+            }
+        }
+    }
+    let count = scene.source_count(settings);
+    Ok(Removed {
+        epsilon: RadianceImage::from_pixels(width, height, epsilon),
+        noise: Some(if signal > 0.0 { (error / signal).sqrt() } else { 0.0 }),
+        sources_used: count,
+        shadow_maps: 0,
+        left_out_share: scene.left_out_share(count),
+    })
+}
+
+impl<'a> Tracer<'a> {
+    fn new(scene: &Scene, occluder: &Occluder, settings: &'a Render) -> Self {
+        let mesh = &scene.light.mesh;
+        let sources = &scene.transfers.sources[..scene.source_count(settings)];
+        let shape = |kind| match kind {
+            SourceKind::Patch(i) => {
+                let i = i as usize;
+                Shape::Patch { corners: mesh.corners(i), normal: mesh.normal(i), area: mesh.area(i) }
+            }
+            SourceKind::Distant(i) => {
+                let d = &scene.light.distant[i as usize];
+                let angular_radius = d.angular_radius();
+                Shape::Distant { direction: d.direction, solid_angle: d.solid_angle_sr, angular_radius }
+            }
+        };
+        let lights: Vec<Light> = sources
+            .iter()
+            .map(|s| Light { shape: shape(s.kind), radiance: s.radiance(scene.light) })
+            .collect();
+        let (transfer, irradiance) = (&scene.transfers.transfer, &scene.transfers.irradiance);
+        let vertices = 0..irradiance.nrows();
+        let weights = vertices
+            .clone()
+            .map(|v| lights.iter().enumerate().map(|(j, l)| luminance(l.radiance) * transfer[(j, v)]).collect())
+            .collect();
+        let rest = vertices
+            .map(|v| {
+                std::array::from_fn(|c| {
+                    let set = (0..lights.len()).map(|j| f64::from(lights[j].radiance[c] * transfer[(j, v)]));
+                    (f64::from(irradiance[(v, c)]) - set.sum::<f64>()).max(0.0) as f32
+                })
+            })
+            .collect();
+        Self {
+            lights,
+            weights,
+            rest,
+            scene: Bvh::new(&mesh.vertices, &mesh.triangles()),
+            object: Bvh::new(&occluder.vertices, &occluder.triangles),
+            bounds: Bounds::of(occluder),
+            settings,
+        }
+    }
+
+    /// ε from the even and from the odd samples: two independent-enough answers whose difference tells the noise.
+    fn halves(
+        &self,
+        pixel: &Pixel,
+        plate: Radiance,
+        (weights, samples): &mut (Vec<f32>, Vec<Sample>),
+    ) -> [Radiance; 2] {
+        let total = self.pixel_weights(pixel, weights);
+        if total <= 0.0 {
+            return [Radiance::default(); 2];
+        }
+        self.draw(pixel, weights, total, samples);
+        if !samples.iter().any(|s| s.blocked) {
+            return [Radiance::default(); 2];
+        }
+        let from = pixel.position + pixel.normal * OFFSET_M;
+        let mut rest = [0.0f64; 3];
+        for (weight, column) in pixel.barycentric.iter().zip(pixel.columns) {
+            (0..3).for_each(|c| rest[c] += f64::from(weight * self.rest[column as usize][c]));
+        }
+        let (mut all, mut blocked) = ([[0.0f64; 3]; 2], [[0.0f64; 3]; 2]);
+        for (i, sample) in samples.iter().enumerate() {
+            if sample.irradiance == [0.0; 3] || hidden(&self.scene, from, sample) {
+                continue;
+            }
+            for c in 0..3 {
+                all[i % 2][c] += f64::from(sample.irradiance[c]);
+                blocked[i % 2][c] += if sample.blocked { f64::from(sample.irradiance[c]) } else { 0.0 };
+            }
+        }
+        // E from all samples, so that both halves divide by the same number.
+        [0, 1].map(|half| {
+            Radiance(std::array::from_fn(|c| {
+                let whole = all[0][c] + all[1][c] + rest[c];
+                let share = if whole > 0.0 { (2.0 * blocked[half][c] / whole).min(1.0) } else { 0.0 };
+                plate.0[c].max(0.0) * share as f32
+            }))
+        })
+    }
+
+    /// What each source sends to the pixel by the interpolated transfers; gives the sum.
+    fn pixel_weights(&self, pixel: &Pixel, weights: &mut Vec<f32>) -> f64 {
+        let [a, b, c] = pixel.columns.map(|column| &self.weights[column as usize]);
+        let [wa, wb, wc] = pixel.barycentric.map(|w| w.max(0.0));
+        weights.clear();
+        weights.extend(a.iter().zip(b).zip(c).map(|((a, b), c)| a * wa + b * wb + c * wc));
+        weights.iter().map(|&w| f64::from(w)).sum()
+    }
+
+    /// Samples in proportion to the weights, stratified over their cumulative sum.
+    fn draw(&self, pixel: &Pixel, weights: &[f32], total: f64, samples: &mut Vec<Sample>) {
+        let n = self.settings.rays;
+        let shift = Shift::new(self.settings.seed, u64::from(pixel.index));
+        let from = pixel.position + pixel.normal * OFFSET_M;
+        samples.clear();
+        let (mut j, mut below) = (0, 0.0);
+        for i in 0..n as u32 {
+            let at = (f64::from(i) + f64::from(shift.jitter(i))) / n as f64 * total;
+            while at >= below + f64::from(weights[j]) && j + 1 < weights.len() {
+                below += f64::from(weights[j]);
+                j += 1;
+            }
+            let density = f64::from(weights[j]) / total * n as f64;
+            let sample = if density > 0.0 { self.sample(pixel, from, j, shift, i, density) } else { None };
+            samples.push(sample.unwrap_or_default());
+        }
+    }
+
+    fn sample(&self, pixel: &Pixel, from: Vec3, j: usize, shift: Shift, i: u32, density: f64) -> Option<Sample> {
+        let light = &self.lights[j];
+        let u = shift.point(i);
+        let (kernel, target, distant) = match &light.shape {
+            Shape::Patch { corners, normal, area } => {
+                let y = on_triangle(*corners, u);
+                let w = y - from;
+                let (cosine, cosine_source) = (w.dot(pixel.normal), -w.dot(*normal));
+                if cosine <= 0.0 || cosine_source <= 0.0 {
+                    return None;
+                }
+                (cosine * cosine_source / w.length_squared().powi(2) * area, y + normal * OFFSET_M, false)
+            }
+            Shape::Distant { direction, solid_angle, angular_radius } => {
+                let w = in_cap(*direction, *angular_radius, u);
+                (solid_angle * w.dot(pixel.normal).max(0.0), w, true)
+            }
+        };
+        let irradiance = light.radiance.map(|c| (f64::from(c) * f64::from(kernel) / density) as f32);
+        let mut sample = Sample { irradiance, target, distant, blocked: false };
+        sample.blocked = self.near_object(from, &sample) && hidden(&self.object, from, &sample);
+        Some(sample)
+    }
+
+    /// Whether the segment passes the object's bounding sphere.
+    fn near_object(&self, from: Vec3, sample: &Sample) -> bool {
+        let (v, to) = (if sample.distant { sample.target } else { sample.target - from }, self.bounds.centre - from);
+        let along = to.dot(v) / v.length_squared();
+        let nearest = v * if sample.distant { along.max(0.0) } else { along.clamp(0.0, 1.0) };
+        nearest.distance_squared(to) <= self.bounds.radius * self.bounds.radius
+    }
+}
+
+fn hidden(bvh: &Bvh, from: Vec3, sample: &Sample) -> bool {
+    if sample.distant {
+        bvh.any_hit(from, sample.target, 0.0, BEYOND_M)
+    } else {
+        bvh.occluded(from, sample.target)
+    }
+}
