@@ -39,7 +39,7 @@ fn main() -> std::process::ExitCode {
         };
         let compared = reference.as_ref().zip(comparison.as_ref());
         let notes = judge_stages(ctx, &response, &ours, compared, &mut measured)?;
-        write(ctx, &measured, gallery(&ours, comparison.as_ref(), encode), reference.is_some(), notes)
+        write(ctx, &measured, gallery(&ours, comparison.as_ref(), encode), notes)
     })
 }
 
@@ -79,31 +79,10 @@ fn judge_stages(
     Ok(truth.judge_noise(&stem.to_string_lossy(), comparison, out).into_iter().collect())
 }
 
-fn write(
-    ctx: &Context,
-    measured: &Measured,
-    gallery: Gallery,
-    judged: bool,
-    notes: Vec<String>,
-) -> Result<()> {
-    let settings = &ctx.pipeline.evaluate;
-    let named = [
-        ("reference", &settings.reference),
-        ("reference_empty", &settings.reference_empty),
-        ("reference_mask", &settings.reference_mask),
-        ("truth", &settings.truth),
-    ];
-    let path = |(role, p): (&str, &Option<std::path::PathBuf>)| {
-        Some((role.into(), p.as_ref()?.display().to_string()))
-    };
-    let (width, height) = gallery.pictures[0].1.size();
-    let report = Report {
-        judged,
-        size_px: [width, height],
-        references: named.into_iter().filter_map(path).collect(),
-        figures: measured.figures(&settings.bounds),
-    };
-    if report.figures.is_empty() {
+fn write(ctx: &Context, measured: &Measured, gallery: Gallery, notes: Vec<String>) -> Result<()> {
+    let (width, height) = gallery.size();
+    let report = Report::new(measured, &ctx.pipeline.evaluate, [width, height]);
+    if !report.judged {
         ctx.warn("no reference and no truth is given: there is nothing to judge against");
     }
     report.table().iter().for_each(|line| ctx.printer.say(line));

@@ -1,9 +1,11 @@
 //! The figures of a report: what they mean, and the bounds they are held to.
 
 use crate::artefact::json::JsonArtefact;
+use crate::config;
 use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 
 /// What a figure is.
 #[derive(Debug, Clone, Copy)]
@@ -169,6 +171,25 @@ fn within(name: &str, value: f64, bound: f64) -> bool {
 }
 
 impl Report {
+    /// Holds what was measured to the settings' bounds.
+    pub fn new(measured: &Measured, settings: &config::Evaluate, size_px: [usize; 2]) -> Self {
+        let named = [
+            ("reference", &settings.reference),
+            ("reference_empty", &settings.reference_empty),
+            ("reference_mask", &settings.reference_mask),
+            ("truth", &settings.truth),
+        ];
+        let shown = |(role, path): (&str, &Option<PathBuf>)| {
+            path.as_ref().map(|p| (role.to_string(), p.display().to_string()))
+        };
+        Self {
+            judged: settings.reference.is_some() || settings.truth.is_some(),
+            size_px,
+            references: named.into_iter().filter_map(shown).collect(),
+            figures: measured.figures(&settings.bounds),
+        }
+    }
+
     /// `name,value,unit,baseline,bound,passed`.
     pub fn to_csv(&self) -> String {
         let number = |v: Option<f64>| v.map(|v| v.to_string()).unwrap_or_default();

@@ -15,6 +15,13 @@ pub struct Gallery {
     pub maps: Vec<(&'static str, ErrorMap)>,
 }
 
+impl Gallery {
+    /// Size of the pictures, px.
+    pub fn size(&self) -> (usize, usize) {
+        self.pictures.first().map_or((0, 0), |(_, image)| image.size())
+    }
+}
+
 /// Plate, augmented and reference as displayed; ε and, on the same range, its error.
 pub fn gallery(
     ours: &Ours,
