@@ -188,3 +188,50 @@ fn a_grid_without_its_disc_or_partly_hidden_is_refused() {
     let e = grid_pose(&picture(&camera, true, true), &camera.intrinsics, &settings).unwrap_err();
     assert!(matches!(e, Problem::GridNotFound { .. }), "{e}");
 }
+
+#[test]
+fn lines_origin_and_scale_alone_give_the_pose() {
+    use crate::annotations::{Axis, Scale, VanishingLines};
+    let camera = above([1.5, 1.2, 2.0]);
+    let see = |x: f64, y: f64, z: f64| {
+        let p = camera.project(&(world_from_grid() * Point3::new(x, y, z))).unwrap();
+        [p.x, p.y]
+    };
+    let edge = |from: [f64; 3], k: usize| {
+        let mut to = from;
+        to[k] += 0.5;
+        let (a, b) = (see(from[0], from[1], from[2]), see(to[0], to[1], to[2]));
+        [a[0], a[1], b[0], b[1]]
+    };
+    let starts = [[-0.4, -0.3, 0.0], [0.2, 0.1, 0.0], [0.0, -0.5, 0.3], [-0.2, 0.3, 0.2]];
+    let lines = |k: usize| starts.map(|s| edge(s, k)).to_vec();
+    let (from, to) = (see(0.3, -0.2, 0.0), see(0.3, -0.2, 0.4));
+    let lines = VanishingLines {
+        image: "plate.jpg".into(),
+        x: lines(0),
+        y: lines(1),
+        z: lines(2),
+        origin: Some(see(0.0, 0.0, 0.0)),
+        scale: Some(Scale { from, to, axis: Axis::Z, length_m: 0.4 }),
+    };
+    let settings = config::Calibrate { pose: config::PoseSource::VanishingLines, ..Default::default() };
+    let mut evidence = Evidence {
+        width_px: 640,
+        height_px: 480,
+        grids: &[],
+        plate_grids: &[],
+        stated_focal_px: None,
+        lines: Some(&lines),
+    };
+    let found = solve(&evidence, &settings).unwrap();
+    let plate = &found.plate.camera;
+    assert!((plate.intrinsics.focal_px[0] - 600.0).abs() < 1e-2);
+    assert!((plate.centre() - camera.centre()).norm() < 1e-4, "{}", plate.centre());
+    assert!(plate.world_from_camera.rotation.angle_to(&camera.world_from_camera.rotation) < 1e-4);
+
+    let without = VanishingLines { scale: None, ..lines.clone() };
+    evidence.lines = Some(&without);
+    assert!(matches!(solve(&evidence, &settings), Err(Problem::NoOriginOrScale)));
+    evidence.lines = None;
+    assert!(matches!(solve(&evidence, &settings), Err(Problem::NoFocal)));
+}
