@@ -143,7 +143,7 @@ fn time(statics: &Static, workspace: &Workspace, backend: Backend, frames: usize
         let started = Instant::now();
         let composite = crate::composite::composite(&statics.plate, &removed.epsilon, &layer);
         let composite_time = started.elapsed();
-        std::hint::black_box(composite);
+        std::hint::black_box(composite).doing("compositing")?;
         // The first frame warms caches and compiles pipelines.
         if frame > 0 {
             shadow_ms.push(shadow_time.as_secs_f64() * 1e3);
