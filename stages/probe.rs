@@ -25,7 +25,8 @@ fn main() -> std::process::ExitCode {
         let posed = pose(ctx, &merged)?;
         ctx.figure("grid_rms_px", posed.rms_px);
         let grid = &ctx.pipeline.calibrate;
-        let half = |corners: u32| f64::from(corners + 1) * grid.square_m / 2.0;
+        // The squares around the inner corners, and a margin of half a square.
+        let half = |corners: u32| f64::from(corners + 2) * grid.square_m / 2.0;
         let surface = Surface {
             height_m: settings.support_m.unwrap_or(-grid.thickness_m),
             board_half_m: Some(grid.inner_corners.map(half)),

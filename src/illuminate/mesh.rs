@@ -6,7 +6,7 @@ use crate::model::face::Face;
 use glam::Vec3;
 use nalgebra::{Point3, Vector3};
 use spade::handles::FixedVertexHandle;
-use spade::{DelaunayTriangulation, HasPosition, Point2, Triangulation};
+use spade::{DelaunayTriangulation, Point2, Triangulation};
 
 /// Circumradius over shortest edge that is refined away: angles stay above 20.7° where the face's own corners allow.
 const MAX_RATIO: f64 = std::f64::consts::SQRT_2;

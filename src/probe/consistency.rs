@@ -45,6 +45,8 @@ pub struct Consistency<'a> {
     pub surface: Surface,
     /// Radius of the ball, m.
     pub radius_m: f64,
+    /// Reflectivity of the ball.
+    pub reflectivity: f64,
     /// Added before the logarithm, so that noise in the dark does not count.
     pub floor: f32,
 }
@@ -112,8 +114,15 @@ impl Consistency<'_> {
         (l + f64::from(self.floor)).ln()
     }
 
-    /// Correlation of mirrored and direct logarithms over about `count` pixels; 0 where there are too few.
-    pub fn correlation(&self, centre: &Point3<f64>, count: usize) -> f64 {
+    /// Correlation of mirrored and direct logarithms over about `count` pixels, less what the mean ratio differs from the
+    /// reflectivity: a plain floor agrees with itself too, but undimmed. 0 where there are too few pixels.
+    pub fn agreement(&self, centre: &Point3<f64>, count: usize) -> f64 {
+        let (correlation, log_gain) = self.compare(centre, count);
+        correlation - (log_gain - self.reflectivity.ln()).abs().min(0.5)
+    }
+
+    /// Correlation of mirrored and direct logarithms and their mean difference.
+    fn compare(&self, centre: &Point3<f64>, count: usize) -> (f64, f64) {
         let pixels = self.pixels(centre, count);
         let (mut n, mut a, mut b, mut aa, mut ab, mut bb) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
         for &(x, y) in &pixels {
@@ -121,19 +130,19 @@ impl Consistency<'_> {
             let (u, v) = (self.log(direct), self.log(f64::from(*self.luminance.at(x, y))));
             (n, a, b, aa, ab, bb) = (n + 1.0, a + u, b + v, aa + u * u, ab + u * v, bb + v * v);
         }
-        if n < 40.0 || n < 0.05 * pixels.len() as f64 {
-            return 0.0;
+        if n < 30.0 || n < 0.05 * pixels.len() as f64 {
+            return (0.0, 0.0);
         }
         // Noise alone must not correlate: a variance of (2 %)² is added on either side.
         let noise = 4e-4;
         let (va, vb) = (aa / n - (a / n).powi(2) + noise, bb / n - (b / n).powi(2) + noise);
-        (ab / n - a * b / (n * n)) / (va * vb).sqrt()
+        ((ab / n - a * b / (n * n)) / (va * vb).sqrt(), (b - a) / n)
     }
 
-    /// Climbs to the best correlation near `start`: a search over ± 2.5 px, then by compass search down to 0.2 px.
+    /// Climbs to the best agreement near `start`: a search over ± 2.5 px, then by compass search down to 0.2 px.
     pub fn climb(&self, start: Vector2<f64>, height_m: f64, count: usize) -> (f64, Vector2<f64>) {
         let centre = |at: Vector2<f64>| Point3::new(at.x, height_m, at.y);
-        let value = |at: Vector2<f64>| self.correlation(&centre(at), count);
+        let value = |at: Vector2<f64>| self.agreement(&centre(at), count);
         let Some(points) = outline::project(self.camera, &centre(start), self.radius_m, 32) else {
             return (0.0, start);
         };
@@ -209,7 +218,7 @@ impl Consistency<'_> {
                 break;
             }
         }
-        let correlation = self.correlation(&centre(at), 4000);
+        let (correlation, _) = self.compare(&centre(at), 4000);
         Some((at, Agreement { correlation, gain: log_gain.exp(), sigma_m }))
     }
 }

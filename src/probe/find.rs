@@ -12,13 +12,13 @@ use rayon::prelude::*;
 /// The ball must be that large in the picture, px.
 pub const MIN_DIAMETER_PX: f64 = 20.0;
 /// Correlation of the mirror image with the surface below which a place is not taken for the ball's.
-pub const MIN_AGREEMENT: f64 = 0.6;
+pub const MIN_AGREEMENT: f64 = 0.8;
 /// Share of the outline that may lie outside the picture.
 const MAX_OUTSIDE: f64 = 0.02;
 /// Spacing of the coarse search in the picture, px.
 const STEP_PX: usize = 3;
 /// Places whose mirror image is looked at.
-const PROMISING: usize = 6000;
+const PROMISING: usize = 4000;
 /// Places kept by the coarse search.
 const CANDIDATES: usize = 60;
 /// Of these, places that are judged on all their pixels.
@@ -60,6 +60,7 @@ pub fn find(
         luminance: &luminance,
         surface: *surface,
         radius_m,
+        reflectivity,
         floor: noise_floor(&luminance),
     };
     let mut climbed: Vec<_> = view
@@ -75,7 +76,7 @@ pub fn find(
         .into_iter()
         .filter_map(|(_, at)| consistency.refine(at, centre_height_m))
         .map(|(at, a)| {
-            let off = view.outside(at) + (a.gain / reflectivity).ln().abs();
+            let off = 0.25 * view.outside(at) + (a.gain / reflectivity).ln().abs();
             (a.correlation - off, at, a)
         })
         .max_by(|a, b| a.0.total_cmp(&b.0));
@@ -153,7 +154,7 @@ impl View<'_> {
             .collect();
         scores.sort_by(|a, b| b.0.total_cmp(&a.0));
         scores.truncate(PROMISING);
-        scores.par_iter_mut().for_each(|s| s.0 += consistency.correlation(&self.centre(s.2), 100));
+        scores.par_iter_mut().for_each(|s| s.0 += consistency.agreement(&self.centre(s.2), 250));
         scores.sort_by(|a, b| b.0.total_cmp(&a.0));
         let mut kept: Vec<(f64, Point2<f64>, Vector2<f64>)> = Vec::new();
         for s in scores {
