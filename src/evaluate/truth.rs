@@ -177,6 +177,7 @@ mod tests {
     use crate::camera::Intrinsics;
     use nalgebra::{Isometry3, Vector3};
     use serde_json::json;
+    use std::f64::consts::FRAC_1_SQRT_2;
 
     /// The grid lies at (1, 2, 0), turned by 90° about z; the camera at (1, 2, 4) in the truth's world.
     fn truth() -> Truth {
@@ -186,8 +187,8 @@ mod tests {
                 "R": [[1,0,0],[0,-1,0],[0,0,-1]], "t": [-1, 2, 4]}],
             "grid": {"world_from_board": [[0,-1,0,1],[1,0,0,2],[0,0,1,0],[0,0,0,1]]},
             "sphere": {"centre": [1, 3, 0.5]},
-            "response": {"x": [0.0, 0.01, 0.25, 0.5, 1.0], "y_rgb": [[0.0, 0.1, 0.5, 0.707_106_78, 1.0],
-                [0.0, 0.1, 0.5, 0.707_106_78, 1.0], [0.0, 0.1, 0.5, 0.707_106_78, 1.0]]},
+            "response": {"x": [0.0, 0.01, 0.25, 0.5, 1.0], "y_rgb": [[0.0, 0.1, 0.5, FRAC_1_SQRT_2, 1.0],
+                [0.0, 0.1, 0.5, FRAC_1_SQRT_2, 1.0], [0.0, 0.1, 0.5, FRAC_1_SQRT_2, 1.0]]},
             "truth_noise": {"with_object_floor": {"difference_rmse_over_mean_where_changed_5pct": 0.013}}
         }))
     }

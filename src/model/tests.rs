@@ -189,9 +189,10 @@ fn a_pixel_of_noise_costs_centimetres_and_sigma_says_so() {
     }))
     .unwrap();
     let truth = [5.0, 2.6, 4.0];
-    for k in 0..3 {
-        let (size, sigma) = (scene.primitives[0].size_m[k], scene.primitives[0].size_sigma_m[k]);
-        assert!((size - truth[k]).abs() < 0.25 && (size - truth[k]).abs() < 4.0 * sigma, "{size} ± {sigma}");
+    let room = &scene.primitives[0];
+    for ((size, sigma), truth) in room.size_m.iter().zip(&room.size_sigma_m).zip(truth) {
+        let error = (size - truth).abs();
+        assert!(error < 0.25 && error < 4.0 * sigma, "{size} ± {sigma}");
     }
 }
 
