@@ -76,6 +76,12 @@ fn a_killed_stage_leaves_the_earlier_result() {
     let manifest = capture.path("work/illuminate/stage.json");
     let before = std::fs::read(&manifest).unwrap();
 
+    // Patches so small that the stage is still at work when it is killed.
+    capture.replace(
+        "fast.toml",
+        "max_edge_m = 0.5\nmin_edge_m = 0.2",
+        "max_edge_m = 0.04\nmin_edge_m = 0.02",
+    );
     let mut run = Command::new(env!("CARGO_BIN_EXE_insitu"))
         .args(["run", "--force", "--from", "illuminate", "--to", "illuminate"])
         .arg(capture.settings())
@@ -94,6 +100,11 @@ fn a_killed_stage_leaves_the_earlier_result() {
 
     assert!(part.exists(), "the killed stage had begun to write");
     assert_eq!(std::fs::read(&manifest).unwrap(), before, "the earlier result is whole");
+    capture.replace(
+        "fast.toml",
+        "max_edge_m = 0.04\nmin_edge_m = 0.02",
+        "max_edge_m = 0.5\nmin_edge_m = 0.2",
+    );
     let output = capture.run(&["--to", "irradiance"]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     assert_eq!(stages_run(&output), ["irradiance"], "the earlier result still stands");
