@@ -8,7 +8,7 @@ use crate::printer::Printer;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::Path;
-use toml_edit::{Array, DocumentMut, Item, Table, Value, value};
+use toml_edit::{Array, DocumentMut, Item, Value, value};
 
 /// The worked example, which explains every setting.
 const EXAMPLE: &str = include_str!("../../pipeline.toml");
@@ -211,13 +211,12 @@ pub fn describe(
     let defaults = Pipeline::default();
     set(&mut document, &[], "annotations", "annotations.toml".into());
     set(&mut document, &["ingest"], "photos", photos.into());
-    let mut table = Table::new();
-    for (role, files) in roles {
-        let name =
-            serde_json::to_value(role).ok().and_then(|v| v.as_str().map(String::from)).unwrap_or_default();
-        table[&name] = value(files.iter().collect::<Array>());
+    if let Some(table) = document["ingest"]["roles"].as_table_mut() {
+        table.clear();
+        for (role, files) in roles {
+            table[exposure::role_name(*role).as_str()] = value(files.iter().collect::<Array>());
+        }
     }
-    document["ingest"]["roles"] = Item::Table(table);
     if !roles.contains_key(&Role::Brackets) {
         set(&mut document, &["response"], "role", "probe".into());
     }
