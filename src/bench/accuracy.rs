@@ -12,10 +12,8 @@ use std::time::Instant;
 
 /// Numbers of the strongest sources; 0 for all.
 const SOURCES: [usize; 4] = [16, 64, 256, 0];
-/// Rays per pixel of the ray-traced rows, which use all sources.
-const RAYS: [usize; 3] = [16, 64, 256];
-/// Rays per pixel of the references.
-const REFERENCE_RAYS: usize = 2048;
+/// Rays per pixel of the ray-traced rows, which use all sources; the references have as many as the settings say.
+const RAYS: [usize; 2] = [16, 64];
 
 /// A line of the table.
 struct Row {
@@ -31,19 +29,20 @@ pub(super) fn print(statics: &Static, workspace: &Workspace, frames: usize, prin
     let settings = &workspace.pipeline.render;
     let all = reference(statics, &occluder, settings, 0)?;
     printer.data(&format!(
-        "\nspeed against error: reference raytraced with {REFERENCE_RAYS} rays per pixel, its noise beside it; cpu, \
-         {frames} frames"
+        "\nspeed against error: reference raytraced with {} rays per pixel, its noise beside it; cpu, \
+         {frames} frames",
+        settings.rays
     ));
     printer.data(&format!(
         "{:<24}{:>7}{:>9}{:>9}{:>9}{:>9}{:>8}{:>8}{:>11}{:>8}",
         "method", "maps", "time", "min", "max", "error", "bias", "noise", "error(all)", "bias"
     ));
-    for sources in SOURCES {
+    for sources in SOURCES.into_iter().filter(|&n| n < statics.transfers.sources.len()) {
         let row = radiance_transfer(statics, &occluder, settings, sources, frames)?;
         let same = if sources == 0 { None } else { Some(reference(statics, &occluder, settings, sources)?) };
         printer.data(&line(row, statics, same.as_ref().unwrap_or(&all), &all));
     }
-    for rays in RAYS {
+    for rays in RAYS.into_iter().filter(|&n| n < settings.rays) {
         printer.data(&line(raytraced(statics, &occluder, settings, rays)?, statics, &all, &all));
     }
     Ok(())
@@ -65,7 +64,7 @@ fn line(row: Row, statics: &Static, same: &Removed, all: &Removed) -> String {
 /// By rays from the sources asked for; another seed than any row's.
 fn reference(statics: &Static, occluder: &Occluder, settings: &Render, sources: usize) -> Result<Removed> {
     let seed = settings.seed ^ 0x5eed;
-    let settings = Render { max_sources: sources, rays: REFERENCE_RAYS, seed, ..settings.clone() };
+    let settings = Render { max_sources: sources, seed, ..settings.clone() };
     shadow::raytraced(&statics.scene(), occluder, &settings).doing("tracing the reference")
 }
 
