@@ -74,11 +74,23 @@ mod tests {
     fn structs_lie_as_the_shaders_read_them() {
         let module = &shaders::compose(shaders::SUBTRACT_TRANSFERS).unwrap().0;
         same_layout!(module, Frame { maps, pixels, columns, padding });
-        same_layout!(module, ShadowMap { map_from_world, planes, sides, radiance, row, offset, size, padding });
+        same_layout!(
+            module,
+            ShadowMap { map_from_world, planes, sides, radiance, row, offset, size, padding }
+        );
         same_layout!(
             module,
             Receiver {
-                position, column_a, normal, column_b, barycentric, column_c, across, padding_a, down, padding_b
+                position,
+                column_a,
+                normal,
+                column_b,
+                barycentric,
+                column_c,
+                across,
+                padding_a,
+                down,
+                padding_b
             }
         );
     }

@@ -74,8 +74,8 @@ impl RadianceTransfer {
             plain.pixels().chunks(per_block).map(|pixels| PixelBlock::new(&device, pixels)).collect();
 
         let size = settings.shadow_map_px;
-        let batch =
-            (BATCH_BYTES / (4 * size * size)).clamp(1, MOST_MAPS.min(device.limits.max_texture_array_layers as usize));
+        let batch = (BATCH_BYTES / (4 * size * size))
+            .clamp(1, MOST_MAPS.min(device.limits.max_texture_array_layers as usize));
         let texture = device.device.create_texture(&wgpu::TextureDescriptor {
             label: Some("shadow maps"),
             size: wgpu::Extent3d {
@@ -237,7 +237,9 @@ impl RadianceTransfer {
             self.device.queue.submit([encoder.finish()]);
             let values: Vec<f32> = self.device.read(&staging)?;
             for (image, plan) in values.chunks(bytes_per_row / 4 * size).zip(batch) {
-                let depth = image.chunks(bytes_per_row / 4).flat_map(|row| &row[..size]).copied().collect();
+                let size = plan.size;
+                let rows = image.chunks(bytes_per_row / 4).take(size);
+                let depth = rows.flat_map(|row| &row[..size]).copied().collect();
                 maps.extend(plan.projection.map(|projection| shadow::ShadowMap { projection, size, depth }));
             }
         }

@@ -333,8 +333,7 @@ mod tests {
     #[test]
     fn what_lies_beside_or_before_the_occluder_is_culled() {
         let bounds = Bounds::of(&cube(Vec3::ZERO, 0.2));
-        let plan =
-            MapPlan::new(0, ShadowOrigin::Point(Vec3::Y * 2.0), 1.0, Vec2::ZERO, &bounds, 64);
+        let plan = MapPlan::new(0, ShadowOrigin::Point(Vec3::Y * 2.0), 1.0, Vec2::ZERO, &bounds, 64);
         assert!(plan.may_shadow(Vec3::Y * -1.0, 0.1));
         for p in [Vec3::Y, Vec3::Y * 3.0, Vec3::new(1.0, -1.0, 0.0), Vec3::new(0.0, -1.0, -1.0)] {
             assert!(!plan.may_shadow(p, 0.1), "{p}");

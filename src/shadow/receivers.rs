@@ -81,7 +81,13 @@ fn first_front(mesh: &PatchMesh, bvh: &Bvh, origin: Vec3, direction: Vec3) -> Op
         if normal.dot(direction) < 0.0 {
             let corners = mesh.corners(hit.triangle as usize);
             let position = (0..3).map(|k| corners[k] * hit.barycentric[k]).sum();
-            return Some(Receiver { patch: hit.triangle, barycentric: hit.barycentric, position, normal, footprint: [Vec3::ZERO; 2] });
+            return Some(Receiver {
+                patch: hit.triangle,
+                barycentric: hit.barycentric,
+                position,
+                normal,
+                footprint: [Vec3::ZERO; 2],
+            });
         }
         from = hit.t * (1.0 + 1e-5) + 1e-5;
     }
