@@ -9,6 +9,10 @@ struct Receiver {
     column_b: u32,
     barycentric: vec3<f32>,
     column_c: u32,
+    across: vec3<f32>,  // one pixel to the right on the surface, m
+    padding_a: u32,
+    down: vec3<f32>,
+    padding_b: u32,
 }
 
 @group(0) @binding(0) var<uniform> frame: Frame;
@@ -16,7 +20,7 @@ struct Receiver {
 @group(0) @binding(2) var<storage, read> receivers: array<Receiver>;
 @group(0) @binding(3) var<storage, read> transfers: array<f32>;
 @group(0) @binding(4) var<storage, read_write> blocked: array<vec4<f32>>;
-@group(0) @binding(5) var depths: texture_depth_2d_array;
+@group(0) @binding(6) var depths: texture_depth_2d_array;
 
 const DEPTH_BIAS: f32 = 5e-4;
 const STEEPEST: f32 = 16.0;
@@ -27,18 +31,20 @@ fn hit(texel: vec2<i32>, map: u32, depth: f32) -> f32 {
 
 // 2×2 percentage-closer filtering with the receiver plane's depth in each texel.
 fn mask(receiver: Receiver, map: u32) -> f32 {
-    let q = maps[map].map_from_world * vec4<f32>(receiver.position, 1.0);
+    let offset = maps[map].offset;
+    let position = receiver.position + receiver.across * offset.x + receiver.down * offset.y;
+    let q = maps[map].map_from_world * vec4<f32>(position, 1.0);
     if q.w <= 1e-6 {
         return 0.0;
     }
     let p = q.xyz / q.w - vec3<f32>(0.5, 0.5, 0.0);
     let first = floor(p.xy);
-    let last = f32(frame.map_px - 1u);
+    let last = f32(maps[map].size - 1u);
     if first.x < 0.0 || first.y < 0.0 || first.x >= last || first.y >= last || p.z <= 0.0 {
         return 0.0;
     }
-    let plane = maps[map].planes * vec4<f32>(receiver.normal, -dot(receiver.normal, receiver.position));
-    let limit = STEEPEST / f32(frame.map_px);
+    let plane = maps[map].planes * vec4<f32>(receiver.normal, -dot(receiver.normal, position));
+    let limit = STEEPEST / f32(maps[map].size);
     var slope = vec2<f32>(0.0);
     if plane.z != 0.0 {
         slope = clamp(-plane.xy / plane.z, vec2<f32>(-limit), vec2<f32>(limit));
@@ -53,14 +59,42 @@ fn mask(receiver: Receiver, map: u32) -> f32 {
     return top * (1.0 - f.y) + bottom * f.y;
 }
 
-@compute @workgroup_size(64)
-fn subtract(@builtin(global_invocation_id) id: vec3<u32>) {
+// Whether a map can shadow anything in a sphere (centre, radius): `MapPlan::may_shadow`.
+fn may_shadow(sphere: vec4<f32>, map: u32) -> bool {
+    let reach = -sphere.w * 1.001 - 1e-4;
+    for (var i = 0u; i < 5u; i++) {
+        if dot(maps[map].sides[i], vec4<f32>(sphere.xyz, 1.0)) < reach {
+            return false;
+        }
+    }
+    return true;
+}
+
+// Neighbouring pixels share a workgroup, whose maps are chosen first.
+const GROUP: u32 = 64u;
+const MOST_MAPS: u32 = 1024u;
+@group(0) @binding(5) var<storage, read> spheres: array<vec4<f32>>;
+var<workgroup> needed: array<u32, MOST_MAPS>;
+
+@compute @workgroup_size(GROUP)
+fn subtract(
+    @builtin(global_invocation_id) id: vec3<u32>,
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(local_invocation_index) lane: u32,
+) {
+    for (var map = lane; map < frame.maps; map += GROUP) {
+        needed[map] = select(0u, 1u, may_shadow(spheres[group.x], map));
+    }
+    workgroupBarrier();
     if id.x >= frame.pixels {
         return;
     }
     let receiver = receivers[id.x];
     var sum = blocked[id.x].xyz;
     for (var map = 0u; map < frame.maps; map++) {
+        if needed[map] == 0u {
+            continue;
+        }
         let share = mask(receiver, map);
         if share > 0.0 {
             let row = maps[map].row * frame.columns;

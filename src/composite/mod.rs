@@ -51,7 +51,8 @@ pub struct Composite {
 }
 
 /// `C = (B − ε)(1 − A) + O` with plate B, removed radiance ε, premultiplied object O of coverage A. Where the object
-/// changes nothing (ε = 0, A = 0), C is B, bit for bit.
+/// changes nothing (ε = 0, A = 0), C is B, bit for bit. Where the object covers a pixel in part, ε is that of the
+/// neighbours that it leaves free: the pixel's own may be that of the floor below the object, which nobody sees.
 pub fn composite(
     plate: &RadianceImage,
     removed: &RadianceImage,
@@ -62,10 +63,15 @@ pub fn composite(
     let (mut clamped_px, mut excess, mut total) = (0, 0.0f64, 0.0f64);
     let mut pixels = Vec::with_capacity(plate.pixels().len());
     for (i, b) in plate.pixels().iter().enumerate() {
-        let (e, o, a) = (removed.pixels()[i].0, object.colour.pixels()[i].0, object.coverage.pixels()[i]);
+        let (o, a) = (object.colour.pixels()[i].0, object.coverage.pixels()[i]);
         if !(0.0..=1.0).contains(&a) {
             return Err(Problem::Coverage { x: i % plate.width(), y: i / plate.width(), coverage: a });
         }
+        let e = if a > 0.0 && a < 1.0 {
+            removed_beside(plate, removed, object, i)
+        } else {
+            removed.pixels()[i].0
+        };
         let mut clamped = false;
         let mut colour = [0.0f32; 3];
         for k in 0..3 {
@@ -87,6 +93,23 @@ pub fn composite(
         clamped_px,
         clamped_share: if total > 0.0 { excess / total } else { 0.0 },
     })
+}
+
+/// ε of a pixel that removes the same share of the plate as its neighbours without object do; its own if it has none.
+fn removed_beside(plate: &RadianceImage, removed: &RadianceImage, object: &Layer, i: usize) -> [f32; 3] {
+    let (width, height) = plate.size();
+    let (x, y) = (i % width, i / width);
+    let (mut before, mut gone) = ([0.0f32; 3], [0.0f32; 3]);
+    for v in y.saturating_sub(1)..(y + 2).min(height) {
+        for u in x.saturating_sub(1)..(x + 2).min(width) {
+            if *object.coverage.at(u, v) == 0.0 {
+                let (b, e) = (plate.at(u, v).0, removed.at(u, v).0);
+                (0..3).for_each(|k| (before[k], gone[k]) = (before[k] + b[k], gone[k] + e[k]));
+            }
+        }
+    }
+    let (own, b) = (removed.pixels()[i].0, plate.pixels()[i].0);
+    std::array::from_fn(|k| if before[k] > 0.0 { b[k] * gone[k] / before[k] } else { own[k] })
 }
 
 /// Stored codes of the augmented picture. `codes` is the plate as the camera stored it; `encode` maps radiance in plate
@@ -148,15 +171,23 @@ mod tests {
     fn the_equation_holds() {
         let c = composite(
             &image(&[[1.0, 0.5, 0.25]; 3]),
-            &image(&[[0.5, 0.25, 0.0], [0.5; 3], [9.0; 3]]),
+            &image(&[[0.5, 0.25, 0.5], [0.5; 3], [9.0; 3]]),
             &layer(&[[0.0; 3], [0.125; 3], [0.75; 3]], &[0.0, 0.5, 1.0]),
         )
         .unwrap();
-        assert_eq!(c.radiance.pixels()[0].0, [0.5, 0.25, 0.25]);
-        assert_eq!(c.radiance.pixels()[1].0, [0.375, 0.125, 0.125]);
+        assert_eq!(c.radiance.pixels()[0].0, [0.5, 0.25, 0.0]);
+        assert_eq!(c.radiance.pixels()[1].0, [0.375, 0.25, 0.125], "as much goes as beside it");
         assert_eq!(c.radiance.pixels()[2].0, [0.75; 3], "under full coverage the plate does not matter");
-        assert_eq!(c.clamped_px, 1);
-        assert!((c.clamped_share - 0.25 / 2.25).abs() < 1e-6, "{}", c.clamped_share);
+        assert_eq!(c.clamped_px, 2);
+        assert!((c.clamped_share - 0.5 / 2.5).abs() < 1e-6, "{}", c.clamped_share);
+    }
+
+    #[test]
+    fn the_outline_of_a_base_shows_the_floor_beside_it() {
+        let object = layer(&[[0.0; 3], [0.1; 3], [0.2; 3]], &[0.0, 0.5, 1.0]);
+        // The pixel in the middle looks at the floor under the base, where no light is left.
+        let c = composite(&image(&[[1.0; 3]; 3]), &image(&[[0.1; 3], [1.0; 3], [1.0; 3]]), &object).unwrap();
+        assert!((c.radiance.pixels()[1].0[0] - (0.5 * 0.9 + 0.1)).abs() < 1e-6);
     }
 
     #[test]

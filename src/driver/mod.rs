@@ -5,6 +5,7 @@ pub(crate) mod run;
 mod status;
 mod validate;
 
+use crate::bench;
 use crate::cli;
 use crate::error::Result;
 use clap::{Parser, Subcommand};
@@ -75,6 +76,9 @@ enum Command {
         /// Frames to time for each back end.
         #[arg(long, default_value_t = 10)]
         frames: usize,
+        /// Only these tables.
+        #[arg(long = "table", value_enum)]
+        tables: Vec<bench::Table>,
     },
 }
 
@@ -95,10 +99,7 @@ pub fn main() -> ExitCode {
             }
         }
         Command::New { folder } => new::new(&folder, &printer),
-        Command::Bench { pipeline, frames } => {
-            let _ = (pipeline, frames);
-            Ok(())
-        }
+        Command::Bench { pipeline, frames, tables } => bench::bench(&pipeline, frames, &tables, &printer),
     };
     cli::exit(&printer, outcome)
 }

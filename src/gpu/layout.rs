@@ -6,10 +6,10 @@ use bytemuck::{Pod, Zeroable};
 #[repr(C)]
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
 pub(crate) struct Frame {
-    pub map_px: u32,
     pub maps: u32,
     pub pixels: u32,
     pub columns: u32,
+    pub padding: u32,
 }
 
 /// `ShadowMap` of shadow_map_types.wgsl.
@@ -18,8 +18,12 @@ pub(crate) struct Frame {
 pub(crate) struct ShadowMap {
     pub map_from_world: [[f32; 4]; 4],
     pub planes: [[f32; 4]; 4],
+    pub sides: [[f32; 4]; 5],
     pub radiance: [f32; 3],
     pub row: u32,
+    pub offset: [f32; 2],
+    pub size: u32,
+    pub padding: u32,
 }
 
 /// `Receiver` of subtract_transfers.wgsl.
@@ -32,6 +36,10 @@ pub(crate) struct Receiver {
     pub column_b: u32,
     pub barycentric: [f32; 3],
     pub column_c: u32,
+    pub across: [f32; 3],
+    pub padding_a: u32,
+    pub down: [f32; 3],
+    pub padding_b: u32,
 }
 
 #[cfg(test)]
@@ -65,8 +73,25 @@ mod tests {
     #[test]
     fn structs_lie_as_the_shaders_read_them() {
         let module = &shaders::compose(shaders::SUBTRACT_TRANSFERS).unwrap().0;
-        same_layout!(module, Frame { map_px, maps, pixels, columns });
-        same_layout!(module, ShadowMap { map_from_world, planes, radiance, row });
-        same_layout!(module, Receiver { position, column_a, normal, column_b, barycentric, column_c });
+        same_layout!(module, Frame { maps, pixels, columns, padding });
+        same_layout!(
+            module,
+            ShadowMap { map_from_world, planes, sides, radiance, row, offset, size, padding }
+        );
+        same_layout!(
+            module,
+            Receiver {
+                position,
+                column_a,
+                normal,
+                column_b,
+                barycentric,
+                column_c,
+                across,
+                padding_a,
+                down,
+                padding_b
+            }
+        );
     }
 }

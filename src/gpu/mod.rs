@@ -44,7 +44,8 @@ impl error::Problem for Problem {
     }
 }
 
-/// An open device.
+/// An open device; clones share it.
+#[derive(Clone)]
 pub(crate) struct Device {
     pub adapter: String,
     pub device: wgpu::Device,
@@ -85,5 +86,26 @@ impl Device {
     /// A failure on this device.
     pub fn problem(&self, problem: impl ToString) -> Problem {
         Problem::Device { adapter: self.adapter.clone(), problem: problem.to_string() }
+    }
+
+    /// Catches the device's errors, which else would end the program.
+    pub fn watch(&self) -> Watch {
+        use wgpu::ErrorFilter::{Internal, OutOfMemory, Validation};
+        Watch([Validation, Internal, OutOfMemory].map(|filter| self.device.push_error_scope(filter)))
+    }
+}
+
+/// Errors since [`Device::watch`].
+pub(crate) struct Watch([wgpu::ErrorScopeGuard; 3]);
+
+impl Watch {
+    /// The innermost error as a problem.
+    pub fn none_on(self, device: &Device) -> Result<(), Problem> {
+        let [validation, internal, memory] = self.0;
+        let errors = [memory, internal, validation].map(|scope| pollster::block_on(scope.pop()));
+        match errors.into_iter().flatten().next() {
+            Some(e) => Err(device.problem(e)),
+            None => Ok(()),
+        }
     }
 }

@@ -5,12 +5,13 @@ use super::layout::{Frame, Receiver, ShadowMap};
 use super::{Device, shaders};
 use crate::config::Render;
 use crate::shadow::{self, MapPlan, Occluder, Problem, Removed, Scene};
-use wgpu::util::DeviceExt;
 
 /// Bytes of shadow maps that are held at a time.
 const BATCH_BYTES: usize = 64 << 20;
 /// Invocations of a workgroup, as in subtract_transfers.wgsl.
 const WORKGROUP: usize = 64;
+/// Most maps in a batch, as in subtract_transfers.wgsl.
+const MOST_MAPS: usize = 1024;
 
 /// The method with everything static on the device; only the object changes from frame to frame.
 pub struct RadianceTransfer {
@@ -39,6 +40,8 @@ struct Mesh {
 /// Receiver pixels within the device's limits.
 struct PixelBlock {
     receivers: wgpu::Buffer,
+    /// Centre and radius of what each workgroup's pixels see, m.
+    spheres: wgpu::Buffer,
     blocked: wgpu::Buffer,
     count: usize,
 }
@@ -48,6 +51,13 @@ impl RadianceTransfer {
     pub fn prepare(scene: &Scene, settings: &Render) -> Result<Self, Problem> {
         let plain = shadow::RadianceTransfer::prepare(scene, settings)?;
         let device = Device::open()?;
+        let errors = device.watch();
+        let prepared = Self::upload(plain, device.clone(), settings);
+        errors.none_on(&device)?;
+        prepared
+    }
+
+    fn upload(plain: shadow::RadianceTransfer, device: Device, settings: &Render) -> Result<Self, Problem> {
         let most = device.limits.max_storage_buffer_binding_size.min(device.limits.max_buffer_size) as usize;
         let storage = wgpu::BufferUsages::STORAGE;
 
@@ -64,8 +74,8 @@ impl RadianceTransfer {
             plain.pixels().chunks(per_block).map(|pixels| PixelBlock::new(&device, pixels)).collect();
 
         let size = settings.shadow_map_px;
-        let batch =
-            (BATCH_BYTES / (4 * size * size)).clamp(1, device.limits.max_texture_array_layers as usize);
+        let batch = (BATCH_BYTES / (4 * size * size))
+            .clamp(1, MOST_MAPS.min(device.limits.max_texture_array_layers as usize));
         let texture = device.device.create_texture(&wgpu::TextureDescriptor {
             label: Some("shadow maps"),
             size: wgpu::Extent3d {
@@ -122,8 +132,7 @@ impl RadianceTransfer {
         occluder.check()?;
         let plans = self.plain.plan(occluder);
         let (maps, rays): (Vec<&MapPlan>, Vec<&MapPlan>) = plans.iter().partition(|p| p.projection.is_some());
-        let errors = self.device.device.push_error_scope(wgpu::ErrorFilter::Validation);
-        let memory = self.device.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
+        let errors = self.device.watch();
         let mesh = self.device.mesh(occluder);
         let mut encoder = self.device.device.create_command_encoder(&Default::default());
         self.pixels.iter().for_each(|block| encoder.clear_buffer(&block.blocked, 0, None));
@@ -134,11 +143,7 @@ impl RadianceTransfer {
             }
         }
         let blocked = self.read_blocked();
-        for scope in [memory, errors] {
-            if let Some(e) = pollster::block_on(scope.pop()) {
-                return Err(self.device.problem(e).into());
-            }
-        }
+        errors.none_on(&self.device)?;
         Ok(self.plain.finish(occluder, &rays, blocked?, plans.len()))
     }
 
@@ -154,7 +159,7 @@ impl RadianceTransfer {
         for block in &self.pixels {
             let frame = self.frame(plans.len(), block.count);
             let transfers = &self.transfers[self.buffer_of(first)];
-            let buffers = [&frame, &self.maps, &block.receivers, transfers, &block.blocked];
+            let buffers = [&frame, &self.maps, &block.receivers, transfers, &block.blocked, &block.spheres];
             let layout = self.subtract.get_bind_group_layout(0);
             let group = self.device.bind(&layout, &buffers, Some(&self.depths));
             let mut pass = encoder.begin_compute_pass(&Default::default());
@@ -174,15 +179,18 @@ impl RadianceTransfer {
                 Some(ShadowMap {
                     map_from_world: projection.map_from_world.to_cols_array_2d(),
                     planes: projection.planes.to_cols_array_2d(),
+                    sides: plan.sides.map(|s| s.to_array()),
                     radiance: self.plain.map_radiance(plan),
                     row: (plan.source as usize % self.rows_per_buffer) as u32,
+                    offset: plan.offset.to_array(),
+                    size: plan.size as u32,
+                    padding: 0,
                 })
             })
             .collect();
         self.device.queue.write_buffer(&self.maps, 0, bytemuck::cast_slice(&parameters));
-        let frame = self.frame(plans.len(), 0);
-        let group = self.device.bind(&self.draw.get_bind_group_layout(0), &[&frame, &self.maps], None);
-        for (i, layer) in self.layers[..plans.len()].iter().enumerate() {
+        let group = self.device.bind(&self.draw.get_bind_group_layout(0), &[&self.maps], None);
+        for (i, (layer, plan)) in self.layers.iter().zip(plans).enumerate() {
             let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
                 depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
                     view: layer,
@@ -196,6 +204,7 @@ impl RadianceTransfer {
             });
             pass.set_pipeline(&self.draw);
             pass.set_bind_group(0, &group, &[]);
+            pass.set_viewport(0.0, 0.0, plan.size as f32, plan.size as f32, 0.0, 1.0);
             pass.set_vertex_buffer(0, occluder.vertices.slice(..));
             pass.set_index_buffer(occluder.indices.slice(..), wgpu::IndexFormat::Uint32);
             pass.draw_indexed(0..occluder.index_count, 0, i as u32..i as u32 + 1);
@@ -228,7 +237,9 @@ impl RadianceTransfer {
             self.device.queue.submit([encoder.finish()]);
             let values: Vec<f32> = self.device.read(&staging)?;
             for (image, plan) in values.chunks(bytes_per_row / 4 * size).zip(batch) {
-                let depth = image.chunks(bytes_per_row / 4).flat_map(|row| &row[..size]).copied().collect();
+                let size = plan.size;
+                let rows = image.chunks(bytes_per_row / 4).take(size);
+                let depth = rows.flat_map(|row| &row[..size]).copied().collect();
                 maps.extend(plan.projection.map(|projection| shadow::ShadowMap { projection, size, depth }));
             }
         }
@@ -237,10 +248,10 @@ impl RadianceTransfer {
 
     fn frame(&self, maps: usize, pixels: usize) -> wgpu::Buffer {
         let frame = Frame {
-            map_px: self.plain.map_px() as u32,
             maps: maps as u32,
             pixels: pixels as u32,
             columns: self.plain.transfer().ncols() as u32,
+            padding: 0,
         };
         self.device.upload("frame", bytemuck::bytes_of(&frame), wgpu::BufferUsages::UNIFORM)
     }
@@ -270,10 +281,16 @@ impl PixelBlock {
                 column_b: p.columns[1],
                 barycentric: p.barycentric,
                 column_c: p.columns[2],
+                across: p.footprint[0].to_array(),
+                padding_a: 0,
+                down: p.footprint[1].to_array(),
+                padding_b: 0,
             })
             .collect();
+        let spheres: Vec<[f32; 4]> = pixels.chunks(WORKGROUP).map(sphere).collect();
         let storage = wgpu::BufferUsages::STORAGE;
         Self {
+            spheres: device.upload("spheres", bytemuck::cast_slice(&spheres), storage),
             receivers: device.upload("receivers", bytemuck::cast_slice(&receivers), storage),
             blocked: device.device.create_buffer(&wgpu::BufferDescriptor {
                 label: Some("blocked irradiance"),
@@ -286,13 +303,27 @@ impl PixelBlock {
     }
 }
 
+/// Around some pixels: centre and radius.
+fn sphere(pixels: &[shadow::Pixel]) -> [f32; 4] {
+    let (low, high) = pixels.iter().fold((glam::Vec3::INFINITY, glam::Vec3::NEG_INFINITY), |(a, b), p| {
+        (a.min(p.position), b.max(p.position))
+    });
+    let centre = (low + high) / 2.0;
+    let radius = pixels.iter().map(|p| p.position.distance(centre) + p.reach()).fold(0.0, f32::max);
+    centre.extend(radius).to_array()
+}
+
 impl Device {
     fn upload(&self, label: &str, contents: &[u8], usage: wgpu::BufferUsages) -> wgpu::Buffer {
-        self.device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+        // Written, not mapped: a mapped buffer that could not be had panics.
+        let buffer = self.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some(label),
-            contents,
-            usage,
-        })
+            size: (contents.len() as u64).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT).max(16),
+            usage: usage | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        self.queue.write_buffer(&buffer, 0, contents);
+        buffer
     }
 
     fn mesh(&self, occluder: &Occluder) -> Mesh {

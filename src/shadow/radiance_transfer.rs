@@ -8,6 +8,7 @@ use crate::config::Render;
 use crate::illuminate::patch::LightModel;
 use crate::transfer::Source;
 use crate::visibility::Bvh;
+use glam::{Vec2, Vec3};
 use ndarray::Array2;
 use rayon::prelude::*;
 
@@ -68,8 +69,8 @@ impl RadianceTransfer {
     pub fn shadow_maps(&self, occluder: &Occluder) -> Result<Vec<ShadowMap>, Problem> {
         occluder.check()?;
         let plans = self.plan(occluder);
-        let projections: Vec<_> = plans.iter().filter_map(|p| p.projection).collect();
-        Ok(projections.par_iter().map(|p| rasterise(p, occluder, self.size)).collect())
+        let drawn: Vec<_> = plans.iter().filter_map(|p| Some((p.projection?, p.size))).collect();
+        Ok(drawn.par_iter().map(|(p, size)| rasterise(p, occluder, *size)).collect())
     }
 
     /// The maps of a frame: those that can shadow a receiver which their source lights.
@@ -103,7 +104,7 @@ impl RadianceTransfer {
             let masks: Vec<Mask> = plans
                 .par_iter()
                 .map(|plan| match &plan.projection {
-                    Some(projection) => Mask::Map(rasterise(projection, occluder, self.size)),
+                    Some(projection) => Mask::Map(rasterise(projection, occluder, plan.size)),
                     None => Mask::Rays(plan.origin),
                 })
                 .collect();
@@ -118,7 +119,7 @@ impl RadianceTransfer {
         }
     }
 
-    /// Side of a shadow map, texels.
+    /// Largest side of a shadow map, texels.
     pub(crate) fn map_px(&self) -> usize {
         self.size
     }
@@ -158,7 +159,7 @@ impl RadianceTransfer {
                 let Some(row) = row.as_slice() else { continue };
                 let radiance = self.map_radiance(plan);
                 for (pixel, sum) in pixels.iter().zip(&mut *blocked) {
-                    let share = mask.blocked(pixel, bvh);
+                    let share = mask.blocked(pixel, plan.offset, bvh);
                     if share > 0.0 {
                         let irradiance = share * pixel.interpolate(row);
                         for c in 0..3 {
@@ -181,17 +182,18 @@ pub(crate) fn max_angle(settings: &Render) -> Result<f32, Problem> {
 }
 
 impl Mask {
-    fn blocked(&self, pixel: &Pixel, bvh: &Bvh) -> f32 {
+    fn blocked(&self, pixel: &Pixel, offset: Vec2, bvh: &Bvh) -> f32 {
+        let position = pixel.at(offset);
         match self {
-            Self::Map(map) => map.blocked(pixel.position, pixel.normal),
-            Self::Rays(origin) => ray_blocked(origin, pixel, bvh),
+            Self::Map(map) => map.blocked(position, pixel.normal),
+            Self::Rays(origin) => ray_blocked(origin, position, pixel.normal, bvh),
         }
     }
 }
 
-/// Whether the occluder stands between a pixel and an origin that is too near for a map.
-pub(crate) fn ray_blocked(origin: &ShadowOrigin, pixel: &Pixel, bvh: &Bvh) -> f32 {
-    let from = pixel.position + pixel.normal * 1e-4;
+/// Whether the occluder stands between a receiver and an origin that is too near for a map.
+fn ray_blocked(origin: &ShadowOrigin, position: Vec3, normal: Vec3, bvh: &Bvh) -> f32 {
+    let from = position + normal * 1e-4;
     let hit = match *origin {
         ShadowOrigin::Point(p) => bvh.occluded(from, p),
         ShadowOrigin::Direction(d) => bvh.any_hit(from, d, 0.0, f32::INFINITY),

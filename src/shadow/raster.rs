@@ -51,13 +51,6 @@ impl Point {
 }
 
 fn triangle([a, mut b, mut c]: [Point; 3], size: usize, depth: &mut [f32]) {
-    let mut area = (b.x - a.x) * (c.y - a.y) - (b.y - a.y) * (c.x - a.x);
-    if area == 0 {
-        return;
-    }
-    if area < 0 {
-        (b, c, area) = (c, b, -area);
-    }
     // Texels whose centres lie in the bounding box.
     let first = |least: i64| ((least - SUBTEXELS / 2 + SUBTEXELS - 1).div_euclid(SUBTEXELS)).max(0);
     let last = |most: i64| (most - SUBTEXELS / 2).div_euclid(SUBTEXELS).min(size as i64 - 1);
@@ -65,6 +58,13 @@ fn triangle([a, mut b, mut c]: [Point; 3], size: usize, depth: &mut [f32]) {
     let (y0, y1) = (first(a.y.min(b.y).min(c.y)), last(a.y.max(b.y).max(c.y)));
     if x0 > x1 || y0 > y1 {
         return;
+    }
+    let mut area = (b.x - a.x) * (c.y - a.y) - (b.y - a.y) * (c.x - a.x);
+    if area == 0 {
+        return;
+    }
+    if area < 0 {
+        (b, c, area) = (c, b, -area);
     }
     let edges = [Edge::new(b, c), Edge::new(c, a), Edge::new(a, b)];
     let inverse = 1.0 / area as f32;
@@ -123,17 +123,20 @@ impl ShadowMap {
         if !(column >= 0.0 && row >= 0.0 && column < last && row < last) || d <= 0.0 {
             return 0.0;
         }
+        let at = row as usize * self.size + column as usize;
+        let near = [0, 1, self.size, self.size + 1].map(|offset| self.depth[at + offset]);
+        if near.iter().all(|&depth| depth >= EMPTY) {
+            return 0.0;
+        }
         let plane = self.projection.planes * normal.extend(-normal.dot(position));
         let limit = STEEPEST / self.size as f32;
         let slope = |n: f32| if plane.z == 0.0 { 0.0 } else { (-n / plane.z).clamp(-limit, limit) };
         let (du, dv) = (slope(plane.x), slope(plane.y));
         let (fu, fv) = (u - column, v - row);
-        let at = row as usize * self.size + column as usize;
         let corner = d - DEPTH_BIAS - du * fu - dv * fv;
-        let hit =
-            |offset: usize, depth: f32| if self.depth[at + offset] < depth.min(EMPTY) { 1.0 } else { 0.0 };
+        let hit = |i: usize, depth: f32| if near[i] < depth.min(EMPTY) { 1.0 } else { 0.0 };
         let top = hit(0, corner) * (1.0 - fu) + hit(1, corner + du) * fu;
-        let bottom = hit(self.size, corner + dv) * (1.0 - fu) + hit(self.size + 1, corner + du + dv) * fu;
+        let bottom = hit(2, corner + dv) * (1.0 - fu) + hit(3, corner + du + dv) * fu;
         top * (1.0 - fv) + bottom * fv
     }
 }

@@ -1,4 +1,4 @@
-//! The reference: stratified rays from every pixel.
+//! The reference: stratified rays from all over every pixel.
 //!
 //! ε = B · E_blocked / E, with E_blocked = Σ_j L_j ∫ V_scene (1 − V_object) cos θ cos θ′ / r² dA over the sources that
 //! the object's bounding sphere can hide from the pixel at all, and E the same integral without the object, from the same
@@ -12,7 +12,7 @@ use crate::image::{Radiance, RadianceImage, luminance};
 use crate::transfer::SourceKind;
 use crate::transfer::sampling::{Shift, in_cap, on_triangle};
 use crate::visibility::Bvh;
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
 /// Samples leave a receiver by this much, m.
@@ -43,6 +43,7 @@ struct Light {
 #[derive(Clone, Copy, Default)]
 struct Sample {
     irradiance: [f32; 3],
+    from: Vec3,
     target: Vec3,
     distant: bool,
     blocked: bool,
@@ -146,10 +147,9 @@ impl<'a> Tracer<'a> {
         if !samples.iter().any(|s| s.blocked) {
             return [Radiance::default(); 2];
         }
-        let from = pixel.position + pixel.normal * OFFSET_M;
         let (mut all, mut blocked) = ([[0.0f64; 3]; 2], [[0.0f64; 3]; 2]);
         for (i, sample) in samples.iter().enumerate() {
-            if sample.irradiance == [0.0; 3] || hidden(&self.scene, from, sample) {
+            if sample.irradiance == [0.0; 3] || hidden(&self.scene, sample) {
                 continue;
             }
             for c in 0..3 {
@@ -176,7 +176,7 @@ impl<'a> Tracer<'a> {
         let (mut total, mut rest) = (0.0, pixel.irradiance.map(f64::from));
         for (light, ((a, b), c)) in self.lights.iter().zip(a.iter().zip(b).zip(c)) {
             let mut weight = a * wa + b * wb + c * wc;
-            if weight > 0.0 && !self.can_hide(light, pixel.position) {
+            if weight > 0.0 && !self.can_hide(light, pixel) {
                 weight = 0.0;
             }
             if weight > 0.0 {
@@ -190,12 +190,13 @@ impl<'a> Tracer<'a> {
     }
 
     /// Whether the bounding spheres of object and source overlap as seen from `x`.
-    fn can_hide(&self, light: &Light, x: Vec3) -> bool {
+    fn can_hide(&self, light: &Light, pixel: &Pixel) -> bool {
+        let x = pixel.position;
         let cap = |v: Vec3, radius: f32| {
             let distance = v.length();
             (v / distance, (radius / distance).min(1.0), distance > radius)
         };
-        let (object, sine, outside) = cap(self.bounds.centre - x, self.bounds.radius);
+        let (object, sine, outside) = cap(self.bounds.centre - x, self.bounds.radius + pixel.reach());
         let (source, sine_source, outside_source) = match &light.shape {
             Shape::Patch { centroid, radius, .. } => cap(*centroid - x, *radius),
             Shape::Distant { direction, angular_radius, .. } => {
@@ -211,7 +212,7 @@ impl<'a> Tracer<'a> {
     fn draw(&self, pixel: &Pixel, weights: &[f32], total: f64, samples: &mut Vec<Sample>) {
         let n = self.settings.rays;
         let shift = Shift::new(self.settings.seed, u64::from(pixel.index));
-        let from = pixel.position + pixel.normal * OFFSET_M;
+        let within = Shift::new(!self.settings.seed, u64::from(pixel.index));
         samples.clear();
         let (mut j, mut below) = (0, 0.0);
         for i in 0..n as u32 {
@@ -220,6 +221,8 @@ impl<'a> Tracer<'a> {
                 below += f64::from(weights[j]);
                 j += 1;
             }
+            let offset = Vec2::new(within.jitter(2 * i), within.jitter(2 * i + 1)) - 0.5;
+            let from = pixel.at(offset) + pixel.normal * OFFSET_M;
             let density = f64::from(weights[j]) / total * n as f64;
             let sample = if density > 0.0 { self.sample(pixel, from, j, shift, i, density) } else { None };
             samples.push(sample.unwrap_or_default());
@@ -253,13 +256,14 @@ impl<'a> Tracer<'a> {
             }
         };
         let irradiance = light.radiance.map(|c| (f64::from(c) * f64::from(kernel) / density) as f32);
-        let mut sample = Sample { irradiance, target, distant, blocked: false };
-        sample.blocked = self.near_object(from, &sample) && hidden(&self.object, from, &sample);
+        let mut sample = Sample { irradiance, from, target, distant, blocked: false };
+        sample.blocked = self.near_object(&sample) && hidden(&self.object, &sample);
         Some(sample)
     }
 
     /// Whether the segment passes the object's bounding sphere.
-    fn near_object(&self, from: Vec3, sample: &Sample) -> bool {
+    fn near_object(&self, sample: &Sample) -> bool {
+        let from = sample.from;
         let (v, to) =
             (if sample.distant { sample.target } else { sample.target - from }, self.bounds.centre - from);
         let along = to.dot(v) / v.length_squared();
@@ -268,10 +272,10 @@ impl<'a> Tracer<'a> {
     }
 }
 
-fn hidden(bvh: &Bvh, from: Vec3, sample: &Sample) -> bool {
+fn hidden(bvh: &Bvh, sample: &Sample) -> bool {
     if sample.distant {
-        bvh.any_hit(from, sample.target, 0.0, BEYOND_M)
+        bvh.any_hit(sample.from, sample.target, 0.0, BEYOND_M)
     } else {
-        bvh.occluded(from, sample.target)
+        bvh.occluded(sample.from, sample.target)
     }
 }

@@ -19,6 +19,8 @@ pub struct Receiver {
     pub position: Vec3,
     /// Unit normal of the patch's front.
     pub normal: Vec3,
+    /// One pixel to the right and one down on the patch's plane, m.
+    pub footprint: [Vec3; 2],
 }
 
 /// The receivers of a plate, one a pixel; `None` where the pixel sees no patch.
@@ -36,17 +38,39 @@ impl Receivers {
     pub fn cast(camera: &Camera, mesh: &PatchMesh) -> Self {
         let bvh = Bvh::new(&mesh.vertices, &mesh.triangles());
         let (width, height) = (camera.intrinsics.width_px as usize, camera.intrinsics.height_px as usize);
+        let ray = |x: f64, y: f64| {
+            let ray = camera.ray(&Point2::new(x, y));
+            let (o, d) = (ray.origin.coords, ray.direction.into_inner());
+            (Vec3::new(o.x as f32, o.y as f32, o.z as f32), Vec3::new(d.x as f32, d.y as f32, d.z as f32))
+        };
         let pixels = (0..width * height)
             .into_par_iter()
             .map(|i| {
-                let ray = camera.ray(&Point2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5));
-                let (o, d) = (ray.origin.coords, ray.direction.into_inner());
-                let origin = Vec3::new(o.x as f32, o.y as f32, o.z as f32);
-                first_front(mesh, &bvh, origin, Vec3::new(d.x as f32, d.y as f32, d.z as f32))
+                let (x, y) = ((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
+                let (origin, direction) = ray(x, y);
+                let mut receiver = first_front(mesh, &bvh, origin, direction)?;
+                receiver.footprint =
+                    [ray(x + 1.0, y), ray(x, y + 1.0)].map(|(_, d)| step(&receiver, origin, direction, d));
+                Some(receiver)
             })
             .collect();
         Self { pixels: Image::from_pixels(width, height, pixels) }
     }
+}
+
+/// A footprint is at most this many times as long as a pixel seen head-on: at the horizon it would have no end.
+const LONGEST: f32 = 16.0;
+
+/// From a receiver to where the neighbouring pixel's ray meets its plane.
+fn step(receiver: &Receiver, eye: Vec3, direction: Vec3, neighbour: Vec3) -> Vec3 {
+    let to = receiver.position - eye;
+    let head_on = direction.distance(neighbour) * to.length();
+    let slope = neighbour.dot(receiver.normal);
+    if slope > -1e-4 {
+        return Vec3::ZERO;
+    }
+    (eye + neighbour * (to.dot(receiver.normal) / slope) - receiver.position)
+        .clamp_length_max(LONGEST * head_on)
 }
 
 fn first_front(mesh: &PatchMesh, bvh: &Bvh, origin: Vec3, direction: Vec3) -> Option<Receiver> {
@@ -57,7 +81,13 @@ fn first_front(mesh: &PatchMesh, bvh: &Bvh, origin: Vec3, direction: Vec3) -> Op
         if normal.dot(direction) < 0.0 {
             let corners = mesh.corners(hit.triangle as usize);
             let position = (0..3).map(|k| corners[k] * hit.barycentric[k]).sum();
-            return Some(Receiver { patch: hit.triangle, barycentric: hit.barycentric, position, normal });
+            return Some(Receiver {
+                patch: hit.triangle,
+                barycentric: hit.barycentric,
+                position,
+                normal,
+                footprint: [Vec3::ZERO; 2],
+            });
         }
         from = hit.t * (1.0 + 1e-5) + 1e-5;
     }

@@ -4,7 +4,7 @@ use super::{Problem, Receivers, Scene};
 use crate::config::Render;
 use crate::image::{Radiance, RadianceImage};
 use crate::transfer::NO_COLUMN;
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 
 /// Side of a tile, px.
 const TILE_PX: usize = 16;
@@ -14,6 +14,8 @@ const TILE_PX: usize = 16;
 pub(crate) struct Pixel {
     pub position: Vec3,
     pub normal: Vec3,
+    /// One pixel to the right and one down on the surface, m.
+    pub footprint: [Vec3; 2],
     pub barycentric: [f32; 3],
     /// Columns of the transfers for the patch's vertices.
     pub columns: [u32; 3],
@@ -42,6 +44,17 @@ pub(crate) struct Prepared {
 }
 
 impl Pixel {
+    /// A point of the pixel on the surface; (0, 0) is its centre, ±½ its sides.
+    pub fn at(&self, offset: Vec2) -> Vec3 {
+        self.position + self.footprint[0] * offset.x + self.footprint[1] * offset.y
+    }
+
+    /// Distance from the centre to the farthest corner, m.
+    pub fn reach(&self) -> f32 {
+        let [a, b] = self.footprint;
+        ((a + b).length()).max((a - b).length()) / 2.0
+    }
+
     /// A row of the transfers at this pixel.
     pub fn interpolate(&self, row: &[f32]) -> f32 {
         let [a, b, c] = self.columns.map(|column| row[column as usize]);
@@ -121,6 +134,7 @@ fn pixel(
     Ok(Some(Pixel {
         position: receiver.position,
         normal: receiver.normal,
+        footprint: receiver.footprint,
         barycentric: receiver.barycentric,
         columns,
         index: (y * scene.plate.width() + x) as u32,
@@ -133,7 +147,7 @@ fn tile(pixels: &[Pixel], start: usize) -> Option<Tile> {
     let min = members.iter().map(|p| p.position).reduce(Vec3::min)?;
     let max = members.iter().map(|p| p.position).reduce(Vec3::max)?;
     let centre = (min + max) / 2.0;
-    let radius = members.iter().map(|p| p.position.distance(centre)).fold(0.0, f32::max);
+    let radius = members.iter().map(|p| p.position.distance(centre) + p.reach()).fold(0.0, f32::max);
     let mut columns: Vec<u32> = members.iter().flat_map(|p| p.columns).collect();
     columns.sort_unstable();
     columns.dedup();

@@ -1,47 +1,18 @@
-//! `insitu bench`: what each stage costs, and what a frame costs when the object moves and all else is reused.
+//! What a frame costs when the object moves and all else is reused.
 
-use crate::artefact::{exr, json};
-use crate::calibrate::Cameras;
+use super::{Static, spread};
 use crate::config::Backend;
-use crate::driver::run::{self, Range};
 use crate::error::{Context as _, Error, Result};
 use crate::gpu;
-use crate::illuminate;
-use crate::irradiance::Volume;
-use crate::model::{Scene, face};
 use crate::printer::Printer;
 use crate::render::{self, Environment, Lighting, Object, Shadowed};
-use crate::shadow::{self, Occluder, RadianceTransfer, Receivers, Removed};
-use crate::stage::{STAGES, Workspace};
-use crate::transfer::Transfers;
-use crate::visibility::Bvh;
+use crate::shadow::{self, Occluder, RadianceTransfer, Removed};
+use crate::stage::Workspace;
 use glam::Vec3;
-use std::path::Path;
 use std::time::Instant;
 
-/// Runs what is stale, then prints the table of stages and the table of frames.
-pub fn bench(settings: &Path, frames: usize, printer: &Printer) -> Result<()> {
-    if frames == 0 {
-        return Err(Error::Usage {
-            problem: "no frames to time".into(),
-            hint: "ask for --frames 1 or more".into(),
-        });
-    }
-    let workspace = Workspace::open(settings)?;
-    run::stages(&workspace, &Range::default(), printer)?;
-    let threads = std::thread::available_parallelism().map_or(1, |n| n.get());
-    printer.data(&format!("{threads} threads; times in ms"));
-    printer.data(&format!("\n{:<12}{:>10}{:>12}", "stage", "time", "memory MiB"));
-    for stage in STAGES {
-        let manifest = workspace.manifest(stage.name)?;
-        printer.data(&format!(
-            "{:<12}{:>10.0}{:>12.0}",
-            stage.name,
-            manifest.wall_s * 1e3,
-            manifest.peak_memory_mib
-        ));
-    }
-    let statics = Static::read(&workspace)?;
+/// Prints a row for each back end; one that is not there says why.
+pub(super) fn print(statics: &Static, workspace: &Workspace, frames: usize, printer: &Printer) -> Result<()> {
     printer.data(&format!(
         "\nframe: {} sources, {} of {} px receive, {} triangles cast; shadow maps {} px; {frames} frames",
         statics.transfers.sources.len(),
@@ -55,48 +26,13 @@ pub fn bench(settings: &Path, frames: usize, printer: &Printer) -> Result<()> {
         "backend", "prepare", "shadow", "min", "max", "object", "composite"
     ));
     for backend in [Backend::Cpu, Backend::Gpu] {
-        match time(&statics, &workspace, backend, frames) {
+        match time(statics, workspace, backend, frames) {
             Ok(row) => printer.data(&row),
             Err(Error::Data { problem, .. }) => printer.data(&format!("{backend:?}: {problem}")),
             Err(e) => return Err(e),
         }
     }
     Ok(())
-}
-
-/// What stays when the object moves.
-struct Static {
-    cameras: Cameras,
-    plate: crate::image::RadianceImage,
-    light: illuminate::patch::LightModel,
-    volume: Volume,
-    transfers: Transfers,
-    receivers: Receivers,
-    scene_bvh: Bvh,
-    light_bvh: Bvh,
-    object: Object,
-}
-
-impl Static {
-    fn read(workspace: &Workspace) -> Result<Self> {
-        let file = |stage: &str, name: &str| workspace.folder(stage).join(name);
-        let cameras: Cameras = json::read(&file("calibrate", "cameras.json"))?;
-        let scene: Scene = json::read(&file("model", "scene.json"))?;
-        let light = illuminate::read_light(&workspace.folder("illuminate"))?;
-        let faces = face::triangulate(&scene.faces);
-        let settings = &workspace.pipeline.render;
-        Ok(Self {
-            plate: exr::read_radiance(&file("merge", "plate.exr"))?,
-            volume: Volume::read(&file("irradiance", "irradiance.ply"))?,
-            transfers: Transfers::read(&workspace.folder("transfer"))?,
-            receivers: Receivers::cast(cameras.plate_camera(), &light.mesh),
-            scene_bvh: Bvh::new(&faces.vertices, &faces.triangles),
-            light_bvh: Bvh::new(&light.mesh.vertices, &light.mesh.triangles()),
-            object: render::load_object(&workspace.base.join(&settings.object), settings)?,
-            cameras,
-            light,
-        })
-    }
 }
 
 /// The shadow method, prepared for one back end.
@@ -116,12 +52,7 @@ impl Prepared {
 
 fn time(statics: &Static, workspace: &Workspace, backend: Backend, frames: usize) -> Result<String> {
     let settings = &workspace.pipeline.render;
-    let scene = shadow::Scene {
-        light: &statics.light,
-        transfers: &statics.transfers,
-        receivers: &statics.receivers,
-        plate: &statics.plate,
-    };
+    let scene = statics.scene();
     let started = Instant::now();
     let prepared = match backend {
         Backend::Cpu => RadianceTransfer::prepare(&scene, settings).map(|m| Prepared::Cpu(Box::new(m))),
@@ -155,18 +86,11 @@ fn time(statics: &Static, workspace: &Workspace, backend: Backend, frames: usize
         Backend::Cpu => "cpu",
         Backend::Gpu => "gpu",
     };
-    let median = |ms: &mut Vec<f64>| {
-        ms.sort_by(f64::total_cmp);
-        ms[ms.len() / 2]
-    };
-    let shadow = median(&mut shadow_ms);
+    let [shadow, least, largest] = spread(&mut shadow_ms);
+    let ([object, ..], [composite, ..]) = (spread(&mut object_ms), spread(&mut composite_ms));
     Ok(format!(
-        "{name:<8}{:>10.1}{shadow:>10.1}{:>10.1}{:>10.1}{:>12.1}{:>12.1}",
+        "{name:<8}{:>10.1}{shadow:>10.1}{least:>10.1}{largest:>10.1}{object:>12.1}{composite:>12.1}",
         prepare.as_secs_f64() * 1e3,
-        shadow_ms[0],
-        shadow_ms[shadow_ms.len() - 1],
-        median(&mut object_ms),
-        median(&mut composite_ms),
     ))
 }
 

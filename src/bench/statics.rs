@@ -1,0 +1,62 @@
+//! What stays when the object moves.
+
+use crate::artefact::{exr, json};
+use crate::calibrate::Cameras;
+use crate::error::Result;
+use crate::illuminate;
+use crate::image::RadianceImage;
+use crate::irradiance::Volume;
+use crate::model::{Scene, face};
+use crate::render::{self, Object};
+use crate::shadow::{self, Occluder, Receivers};
+use crate::stage::Workspace;
+use crate::transfer::Transfers;
+use crate::visibility::Bvh;
+
+/// The artefacts that a frame needs, and the object where the settings put it.
+pub(super) struct Static {
+    pub cameras: Cameras,
+    pub plate: RadianceImage,
+    pub light: illuminate::patch::LightModel,
+    pub volume: Volume,
+    pub transfers: Transfers,
+    pub receivers: Receivers,
+    pub scene_bvh: Bvh,
+    pub light_bvh: Bvh,
+    pub object: Object,
+}
+
+impl Static {
+    pub fn read(workspace: &Workspace) -> Result<Self> {
+        let file = |stage: &str, name: &str| workspace.folder(stage).join(name);
+        let cameras: Cameras = json::read(&file("calibrate", "cameras.json"))?;
+        let scene: Scene = json::read(&file("model", "scene.json"))?;
+        let light = illuminate::read_light(&workspace.folder("illuminate"))?;
+        let faces = face::triangulate(&scene.faces);
+        let settings = &workspace.pipeline.render;
+        Ok(Self {
+            plate: exr::read_radiance(&file("merge", "plate.exr"))?,
+            volume: Volume::read(&file("irradiance", "irradiance.ply"))?,
+            transfers: Transfers::read(&workspace.folder("transfer"))?,
+            receivers: Receivers::cast(cameras.plate_camera(), &light.mesh),
+            scene_bvh: Bvh::new(&faces.vertices, &faces.triangles),
+            light_bvh: Bvh::new(&light.mesh.vertices, &light.mesh.triangles()),
+            object: render::load_object(&workspace.base.join(&settings.object), settings)?,
+            cameras,
+            light,
+        })
+    }
+
+    pub fn scene(&self) -> shadow::Scene<'_> {
+        shadow::Scene {
+            light: &self.light,
+            transfers: &self.transfers,
+            receivers: &self.receivers,
+            plate: &self.plate,
+        }
+    }
+
+    pub fn occluder(&self) -> Occluder {
+        Occluder { vertices: self.object.vertices.clone(), triangles: self.object.triangles.clone() }
+    }
+}
