@@ -8,7 +8,7 @@ use insitu::config::{ProbeCamera, Role};
 use insitu::error::{Context as _, Result};
 use insitu::exposure::{self, Capture, Frame, Photograph};
 use insitu::image::{Image, Radiance};
-use insitu::merge::{self, Merged};
+use insitu::merge::{self, Merged, align};
 use insitu::probe::consistency::Surface;
 use insitu::probe::{ProbeFit, Problem, find, marked, unwrap};
 use insitu::response::Response;
@@ -78,6 +78,17 @@ fn merged(ctx: &Context) -> Result<Merged> {
         bar.inc(1);
     }
     bar.finish_and_clear();
+    let frames: Vec<_> = images.iter().map(|(codes, e)| Frame { codes, exposure: *e }).collect();
+    let shifts = align::shifts(&frames, &response);
+    for ((photo, (codes, _)), shift) in
+        photos.iter().zip(&mut images).zip(shifts).filter(|(_, s)| *s != [0, 0])
+    {
+        ctx.warn(format!(
+            "{} lies {}, {} px beside the others: it is moved back",
+            photo.file, shift[0], shift[1]
+        ));
+        *codes = align::moved_back(codes, shift);
+    }
     let frames: Vec<_> = images.iter().map(|(codes, e)| Frame { codes, exposure: *e }).collect();
     merge::merge(&frames, &response, unit, &ctx.pipeline.merge).doing("merging the probe's exposures")
 }
