@@ -12,6 +12,8 @@ use std::path::Path;
 pub struct Annotations {
     /// Edges along the room's directions.
     pub vanishing_lines: Option<VanishingLines>,
+    /// The mirror ball.
+    pub ball: Option<Ball>,
     /// What the scene is made of.
     pub primitive: Vec<Primitive>,
 }
@@ -54,6 +56,16 @@ pub struct VanishingLines {
     /// A known length.
     #[serde(default)]
     pub scale: Option<Scale>,
+}
+
+/// The outline of the mirror ball, where it is not to be searched: it need not stand on the surface under the grid then.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Ball {
+    /// Which photograph of the probe.
+    pub image: String,
+    /// Points on its outline, at least 5, spread around it, px.
+    pub outline: Vec<[f64; 2]>,
 }
 
 /// A known length along an axis, starting on the plane z = 0 through the origin.
@@ -143,6 +155,9 @@ pub struct Primitive {
     /// polygons also a face of the parent.
     #[serde(default = "top")]
     pub attach: String,
+    /// Height of what a primitive without a parent stands or lies on, over the surface under the grid, m.
+    #[serde(default)]
+    pub level_m: f64,
     /// Turn about the vertical.
     #[serde(default)]
     pub yaw: Yaw,

@@ -146,6 +146,9 @@ settings! {
         pose: PoseSource = PoseSource::Both,
         /// Accuracy of marked vanishing lines, px.
         mark_sigma_px: f64 = 0.5,
+        /// Accuracy of the focal length that EXIF or settings state, as a share of it, where it is combined with that
+        /// from vanishing lines.
+        stated_focal_sigma: f64 = 0.04,
         /// Refuse a calibration whose grid corners reproject worse than this, px.
         max_rms_px: f64 = 1.0,
     }
@@ -175,9 +178,21 @@ pub enum PoseSource {
     VanishingLines,
 }
 
+/// Where the probe's photographs were taken from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ProbeCamera {
+    /// From anywhere: they show the printed grid.
+    Grid,
+    /// From the plate's place.
+    Plate,
+}
+
 settings! {
     /// The mirror ball.
     Probe {
+        /// Where its photographs were taken from.
+        camera: ProbeCamera = ProbeCamera::Grid,
         /// Radius of the ball, m.
         radius_m: f64 = 0.1,
         /// Share of light that the ball reflects, per channel.

@@ -1,14 +1,16 @@
 //! Stage `probe`: merges the probe's exposures, finds the mirror ball, unwraps what it reflects.
 
+use insitu::annotations::Annotations;
 use insitu::artefact::{exr, json};
-use insitu::calibrate::{self, Cameras, PosedCamera};
-use insitu::config::Role;
+use insitu::calibrate::{self, Cameras};
+use insitu::camera::Camera;
+use insitu::config::{ProbeCamera, Role};
 use insitu::error::{Context as _, Result};
 use insitu::exposure::{self, Capture, Frame, Photograph};
 use insitu::image::{Image, Radiance};
-use insitu::merge::{self, Merged};
+use insitu::merge::{self, Merged, align};
 use insitu::probe::consistency::Surface;
-use insitu::probe::{Problem, find, unwrap};
+use insitu::probe::{ProbeFit, Problem, find, marked, unwrap};
 use insitu::response::Response;
 use insitu::stage::Context;
 
@@ -22,27 +24,19 @@ fn main() -> std::process::ExitCode {
         let settings = &ctx.pipeline.probe;
         let merged = merged(ctx)?;
         exr::write(&ctx.output("probe.exr"), &merged.planes(), exr::Kind::Picture)?;
-        let posed = pose(ctx, &merged)?;
-        ctx.figure("grid_rms_px", posed.rms_px);
-        let grid = &ctx.pipeline.calibrate;
-        // The squares around the inner corners, and a margin of half a square.
-        let half = |corners: u32| f64::from(corners + 2) * grid.square_m / 2.0;
-        let surface = Surface {
-            height_m: settings.support_m.unwrap_or(-grid.thickness_m),
-            board_half_m: Some(grid.inner_corners.map(half)),
-        };
-        let fit = find::find(&posed.camera, &merged.radiance, &surface, settings)
-            .doing("looking for the mirror ball")?;
+        let camera = camera(ctx, &merged)?;
+        let fit = ball(ctx, &merged, &camera)?;
         ctx.figure("outline_rms_px", fit.outline_rms_px);
         ctx.figure("mirror_correlation", fit.mirror_correlation);
+        ctx.figure("centre_m", [fit.centre.x, fit.centre.y, fit.centre.z]);
         ctx.figure("centre_sigma_m", fit.centre_sigma_m);
         ctx.figure("diameter_px", fit.diameter_px);
         ctx.figure("reflectivity_seen", fit.reflectivity_seen);
         let given = settings.reflectivity[1];
-        if (fit.reflectivity_seen / given - 1.0).abs() > REFLECTIVITY_TOLERANCE {
+        let other = |seen: &f64| (seen / given - 1.0).abs() > REFLECTIVITY_TOLERANCE;
+        if let Some(seen) = fit.reflectivity_seen.filter(other) {
             ctx.warn(format!(
-                "the ball mirrors {:.2} of the surface's light, but probe.reflectivity is {given:.2}",
-                fit.reflectivity_seen
+                "the ball mirrors {seen:.2} of the surface's light, but probe.reflectivity is {given:.2}"
             ));
         }
         let out =
@@ -85,12 +79,54 @@ fn merged(ctx: &Context) -> Result<Merged> {
     }
     bar.finish_and_clear();
     let frames: Vec<_> = images.iter().map(|(codes, e)| Frame { codes, exposure: *e }).collect();
+    let shifts = align::shifts(&frames, &response);
+    for ((photo, (codes, _)), shift) in
+        photos.iter().zip(&mut images).zip(shifts).filter(|(_, s)| *s != [0, 0])
+    {
+        ctx.warn(format!(
+            "{} lies {}, {} px beside the others: it is moved back",
+            photo.file, shift[0], shift[1]
+        ));
+        *codes = align::moved_back(codes, shift);
+    }
+    let frames: Vec<_> = images.iter().map(|(codes, e)| Frame { codes, exposure: *e }).collect();
     merge::merge(&frames, &response, unit, &ctx.pipeline.merge).doing("merging the probe's exposures")
 }
 
-/// The view of the probe from the grid in it; drawn at several exposures until the grid is found.
-fn pose(ctx: &Context, merged: &Merged) -> Result<PosedCamera> {
+/// The ball where a person marked it, or else the one that stands on the surface under the grid.
+fn ball(ctx: &Context, merged: &Merged, camera: &Camera) -> Result<ProbeFit> {
+    let settings = &ctx.pipeline.probe;
+    if let Some(ball) = Annotations::load(ctx)?.ball {
+        let capture: Capture = json::read(&ctx.artefact("ingest", "capture.json")?)?;
+        if capture.with_role(Role::Probe).all(|p| p.file != ball.image) {
+            return Err(Problem::OtherImage { image: ball.image }).doing("reading the ball's outline");
+        }
+        return marked::fit(camera, &merged.radiance, &ball.outline, settings)
+            .doing("fitting the mirror ball to its marked outline");
+    }
+    let grid = &ctx.pipeline.calibrate;
+    // The squares around the inner corners, and a margin of half a square.
+    let half = |corners: u32| f64::from(corners + 2) * grid.square_m / 2.0;
+    let surface = Surface {
+        height_m: settings.support_m.unwrap_or(-grid.thickness_m),
+        board_half_m: Some(grid.inner_corners.map(half)),
+    };
+    find::find(camera, &merged.radiance, &surface, settings).doing("looking for the mirror ball")
+}
+
+/// The view of the probe: the plate's, or from the grid in it; drawn at several exposures until the grid is found.
+fn camera(ctx: &Context, merged: &Merged) -> Result<Camera> {
     let cameras: Cameras = json::read(&ctx.artefact("calibrate", "cameras.json")?)?;
+    if ctx.pipeline.probe.camera == ProbeCamera::Plate {
+        let camera = cameras.plate_camera();
+        let (width, height) = merged.radiance.size();
+        let plate = [camera.intrinsics.width_px, camera.intrinsics.height_px].map(|n| n as usize);
+        if [width, height] != plate {
+            return Err(Problem::OtherSize { probe: [width, height], plate })
+                .doing("placing the probe's camera");
+        }
+        return Ok(camera.clone());
+    }
     let mut luminance: Vec<f32> = merged.radiance.pixels().iter().map(|p| p.luminance()).collect();
     luminance.sort_by(f32::total_cmp);
     let mut last = None;
@@ -99,7 +135,10 @@ fn pose(ctx: &Context, merged: &Merged) -> Result<PosedCamera> {
         let grey: Image<u8> =
             merged.radiance.map(|p| (255.0 * (p.luminance() / top).clamp(0.0, 1.0).powf(1.0 / 2.2)) as u8);
         match calibrate::grid_pose(&grey, &cameras.intrinsics, &ctx.pipeline.calibrate) {
-            Ok(posed) => return Ok(posed),
+            Ok(posed) => {
+                ctx.figure("grid_rms_px", posed.rms_px);
+                return Ok(posed.camera);
+            }
             Err(problem) => last = Some(problem),
         }
     }

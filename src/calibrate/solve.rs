@@ -1,6 +1,6 @@
 //! The whole calibration: which evidence there is decides what lens and pose come from.
 
-use super::vanishing::{self, EdgeFit, RoomEdges};
+use super::vanishing::{self, EdgeFit, RoomEdges, StatedFocal};
 use super::{PosedCamera, Problem, board, edges_of, lens, pose, pose_from_lines};
 use crate::annotations::VanishingLines;
 use crate::camera::Intrinsics;
@@ -31,7 +31,7 @@ pub struct Evidence<'a> {
 pub struct Solution {
     /// The plate's pose, with the lens.
     pub plate: PosedCamera,
-    /// Where the focal length comes from: `grid`, `vanishing_lines`, `exif`.
+    /// Where the focal length comes from: `grid`, `vanishing_lines`, `vanishing_lines and exif`, `exif`.
     pub focal_source: &'static str,
     /// Standard deviation of the focal length, px, where known.
     pub focal_sigma_px: Option<f64>,
@@ -63,7 +63,9 @@ pub fn solve(evidence: &Evidence, settings: &config::Calibrate) -> Result<Soluti
     let marked = evidence.lines.map(|lines| (lines, edges_of(lines, &intrinsics)));
     let edge_fit = marked.as_ref().map(|(_, edges)| {
         let centre = Point2::from(intrinsics.principal_point_px);
-        let fit = vanishing::focal_from_edges(edges, centre, diagonal, settings.mark_sigma_px)?;
+        let (sigma_px, stated) = (settings.mark_sigma_px, stated_focal(evidence, settings));
+        let stated = stated.filter(|_| lens.is_err());
+        let fit = vanishing::fit_edges(edges, centre, diagonal, sigma_px, stated)?;
         let limit_px = MAX_EDGE_SIGMA * settings.mark_sigma_px;
         if fit.rms_px > limit_px {
             return Err(Problem::EdgesDisagree { rms_px: fit.rms_px, limit_px });
@@ -78,7 +80,19 @@ pub fn solve(evidence: &Evidence, settings: &config::Calibrate) -> Result<Soluti
         (Err(problem), Some(Ok(fit))) => {
             warnings.push(format!("focal length from the vanishing lines, not from the grid: {problem}"));
             intrinsics.focal_px = [fit.focal_px; 2];
-            ("vanishing_lines", Some(fit.covariance[(0, 0)].max(0.0).sqrt()), None)
+            let source = match stated_focal(evidence, settings) {
+                Some(stated) => {
+                    warnings.extend(disagreement(
+                        &stated,
+                        marked.as_ref().map(|(_, edges)| edges),
+                        settings,
+                        &intrinsics,
+                    ));
+                    "vanishing_lines and exif"
+                }
+                None => "vanishing_lines",
+            };
+            (source, Some(fit.covariance[(0, 0)].max(0.0).sqrt()), None)
         }
         (Err(problem), lines) if evidence.stated_focal_px.is_some() => {
             warnings.push(format!("focal length as stated by EXIF or settings, unchecked: {problem}"));
@@ -137,6 +151,35 @@ pub fn solve(evidence: &Evidence, settings: &config::Calibrate) -> Result<Soluti
         warnings.push(format!("grid and vanishing lines disagree: the lines are {rms:.1} px off (rms)"));
     }
     Ok(Solution { plate, focal_source, focal_sigma_px, lens, edges: edge_fit, edge_rms_px, warnings })
+}
+
+/// The focal length of EXIF or settings with its accuracy.
+fn stated_focal(evidence: &Evidence, settings: &config::Calibrate) -> Option<StatedFocal> {
+    let relative_sigma = settings.stated_focal_sigma;
+    let focal_px = evidence.stated_focal_px.filter(|_| relative_sigma.is_finite() && relative_sigma > 0.0)?;
+    Some(StatedFocal { focal_px, relative_sigma })
+}
+
+/// Whether the lines alone ask for another focal length than the stated one.
+fn disagreement(
+    stated: &StatedFocal,
+    edges: Option<&RoomEdges>,
+    settings: &config::Calibrate,
+    intrinsics: &Intrinsics,
+) -> Option<String> {
+    let centre = Point2::from(intrinsics.principal_point_px);
+    let diagonal = f64::from(intrinsics.width_px).hypot(f64::from(intrinsics.height_px));
+    let alone = vanishing::focal_from_edges(edges?, centre, diagonal, settings.mark_sigma_px).ok()?;
+    let (sigma, stated_sigma) =
+        (alone.covariance[(0, 0)].max(0.0).sqrt(), stated.relative_sigma * stated.focal_px);
+    let off = (alone.focal_px - stated.focal_px).abs() / sigma.hypot(stated_sigma);
+    (off > 2.0).then(|| {
+        format!(
+            "the vanishing lines alone give a focal length of {:.0} ± {sigma:.0} px, EXIF or settings state {:.0} ± \
+             {stated_sigma:.0} px: they are combined by these accuracies",
+            alone.focal_px, stated.focal_px
+        )
+    })
 }
 
 fn fit_lens(

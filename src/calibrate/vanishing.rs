@@ -83,13 +83,36 @@ pub fn focal_from_edges(
     diagonal_px: f64,
     sigma_px: f64,
 ) -> Result<EdgeFit, Problem> {
+    fit_edges(edges, centre, diagonal_px, sigma_px, None)
+}
+
+/// A focal length known from elsewhere.
+#[derive(Debug, Clone, Copy)]
+pub struct StatedFocal {
+    /// Focal length, px.
+    pub focal_px: f64,
+    /// Its standard deviation as a share of it.
+    pub relative_sigma: f64,
+}
+
+/// As [`focal_from_edges`]; a stated focal length counts as one more observation, by its standard deviation.
+pub fn fit_edges(
+    edges: &RoomEdges,
+    centre: Point2<f64>,
+    diagonal_px: f64,
+    sigma_px: f64,
+    stated: Option<StatedFocal>,
+) -> Result<EdgeFit, Problem> {
     let mut points = [None; 3];
     for (k, edges) in edges.along.iter().enumerate() {
         if edges.len() >= 2 {
             points[k] = Some(vanishing_point(edges, centre, diagonal_px)?);
         }
     }
-    let start = start_from_points(&points, diagonal_px)?;
+    let start = match stated {
+        Some(stated) => stated.focal_px,
+        None => start_from_points(&points, diagonal_px)?,
+    };
     let rotation = orientation(&points, &edges.along, centre, diagonal_px, start)?;
     let project = |x: &DVector<f64>, k: usize| {
         let d = Rotation3::new(Vector3::new(x[1], x[2], x[3])) * rotation * Vector3::ith(k, 1.0);
@@ -101,7 +124,8 @@ pub fn focal_from_edges(
             let v = project(x, k);
             edges.iter().map(move |e| edge_residual(&v, e) / sigma_px)
         });
-        Some(DVector::from_vec(all.collect()))
+        // Parameter 0 is ln f − ln start, and the start is the stated focal length.
+        Some(DVector::from_vec(all.chain(stated.map(|s| x[0] / s.relative_sigma)).collect()))
     };
     let names = ["the focal length", "the tilt", "the tilt", "the roll"].map(String::from);
     let fit = least_squares::minimise(&residuals, &names, &[0.0; 4], Loss::Huber(ROBUST))?;
@@ -114,7 +138,8 @@ pub fn focal_from_edges(
     let mut covariance = fit.covariance.clone();
     covariance.row_mut(0).scale_mut(focal_px);
     covariance.column_mut(0).scale_mut(focal_px);
-    let worst = fit.residuals.iamax();
+    let of_edges = fit.residuals.rows(0, fit.residuals.len() - usize::from(stated.is_some()));
+    let worst = of_edges.iamax();
     let (mut axis, mut number) = (0, worst);
     while number >= edges.along[axis].len() {
         number -= edges.along[axis].len();
@@ -124,7 +149,7 @@ pub fn focal_from_edges(
         focal_px,
         camera_from_room: turn * rotation,
         covariance,
-        rms_px: fit.rms * sigma_px,
+        rms_px: of_edges.norm() / (of_edges.len().max(1) as f64).sqrt() * sigma_px,
         worst: (axis, number, fit.residuals[worst].abs()),
     })
 }

@@ -130,9 +130,29 @@ pub fn new(folder: &Path, printer: &Printer) -> Result<()> {
             roles
         }
     };
-    let mut document = describe(sheet.as_ref(), &roles, ".")?;
+    let mut headers = BTreeMap::new();
     for name in &names {
-        let header = Header::read(&folder.join(name))?;
+        headers.insert(name.clone(), Header::read(&folder.join(name))?);
+    }
+    let named = !roles.is_empty();
+    let roles = if named { roles } else { guess_roles(&headers) };
+    let mut document = describe(sheet.as_ref(), &roles, ".")?;
+    if sheet.is_none() {
+        fit_to_headers(&mut document, &roles, &headers);
+    }
+    if !named {
+        printer
+            .warn("the names tell no roles: they are guessed from sizes and exposures, check [ingest.roles]");
+        let list = headers.iter().map(|(name, h)| {
+            let time = h.time_s.map_or("no exposure".into(), |t| format!("{t} s"));
+            format!("# {name}: {} x {} px, {time}\n", h.width_px, h.height_px)
+        });
+        let text = format!("\n# Guessed from sizes and exposures, check:\n{}", list.collect::<String>());
+        if let Some(table) = document["ingest"]["roles"].as_table_mut() {
+            table.decor_mut().set_prefix(text);
+        }
+    }
+    for (name, header) in &headers {
         if header.time_s.is_none() && roles.values().flatten().any(|r| r == name) {
             printer.warn(&format!("{name} has no exposure in its EXIF: write it under [ingest] exposure"));
         }
@@ -153,6 +173,61 @@ pub fn new(folder: &Path, printer: &Printer) -> Result<()> {
     Ok(())
 }
 
+/// Roles from sizes and exposures: of the largest photographs, the longest run of rising or falling exposures is a series.
+/// Beside it there is the empty scene, and the series shows the ball; or else its middle is the plate.
+fn guess_roles(headers: &BTreeMap<String, Header>) -> BTreeMap<Role, Vec<String>> {
+    let area = |h: &Header| u64::from(h.width_px) * u64::from(h.height_px);
+    let largest = headers.values().map(area).max().unwrap_or(0);
+    let files: Vec<(&String, Option<f64>)> =
+        headers.iter().filter(|(_, h)| area(h) == largest).map(|(n, h)| (n, h.time_s)).collect();
+    let names =
+        |range: std::ops::Range<usize>| files[range].iter().map(|(n, _)| n.to_string()).collect::<Vec<_>>();
+    let mut series = 0..0;
+    for rising in [true, false] {
+        let mut start = 0;
+        for i in 1..=files.len() {
+            let on = i < files.len()
+                && matches!((files[i - 1].1, files[i].1), (Some(a), Some(b)) if a != b && (b > a) == rising);
+            if !on {
+                if i - start >= 2 && i - start > series.len() {
+                    series = start..i;
+                }
+                start = i;
+            }
+        }
+    }
+    let beside = (0..files.len()).find(|i| !series.contains(i));
+    let plate = beside.unwrap_or(series.start + series.len() / 2);
+    let mut roles = BTreeMap::new();
+    if plate < files.len() {
+        roles.insert(Role::Plate, names(plate..plate + 1));
+    }
+    if !series.is_empty() {
+        roles.insert(if beside.is_some() { Role::Probe } else { Role::Brackets }, names(series));
+    }
+    roles
+}
+
+/// Width of the sensor from EXIF's two focal lengths; without photographs of a grid, the plate's place is the probe's and
+/// its pose comes from vanishing lines.
+fn fit_to_headers(
+    document: &mut DocumentMut,
+    roles: &BTreeMap<Role, Vec<String>>,
+    headers: &BTreeMap<String, Header>,
+) {
+    let plate = roles.get(&Role::Plate).and_then(|files| headers.get(files.first()?));
+    if let Some((focal, full)) = plate.and_then(|h| h.focal_mm.zip(h.focal_35mm_mm)).filter(|(_, f)| *f > 0.0)
+    {
+        let width_mm = (360.0 * focal / full).round() / 10.0;
+        set(document, &["ingest"], "sensor_width_mm", width_mm.into());
+    }
+    if [Role::Grid, Role::PlateWithGrid].iter().all(|r| !roles.contains_key(r)) {
+        set(document, &["calibrate"], "pose", "vanishing_lines".into());
+        set(document, &["calibrate"], "thickness_m", 0.0.into());
+        set(document, &["probe"], "camera", "plate".into());
+    }
+}
+
 const ANNOTATIONS_HEAD: &str = "\
 # What a person marks in the photographs, in px from the outer corner of the top-left pixel (the first pixel's centre is
 # at 0.5, 0.5). No stage writes this file.
@@ -160,6 +235,12 @@ const ANNOTATIONS_HEAD: &str = "\
 # [vanishing_lines]                      # edges along the room's directions; z is up
 # image = \"plate.jpg\"
 # x = [[x0, y0, x1, y1], ...]
+# origin = [x, y]                        # without a printed grid: where the world's origin is seen, and a known length
+# scale = { from = [x, y], to = [x, y], axis = \"x\", length_m = 0.5 }
+#
+# [ball]                                 # where the ball does not stand on the surface under the grid
+# image = \"probe.jpg\"
+# outline = [[x, y], ...]                # 5 or more points all round
 #
 # [[primitive]]                          # kind: room, ground, box, quad, polygon
 # name = \"room\"

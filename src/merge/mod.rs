@@ -6,6 +6,7 @@
 //! 2010). The variance is predicted from the exposure that all frames together make likely, not from the noisy code
 //! itself, which would favour frames that happen to read low.
 
+pub mod align;
 mod noise;
 mod problem;
 

@@ -103,7 +103,7 @@ fn vertical(yaw: f64) -> Rotation3<f64> {
     Rotation3::from_axis_angle(&Vector3::y_axis(), yaw)
 }
 
-/// Puts a primitive in its place. Without a parent it stands on the horizontal plane at `ground`, m.
+/// Puts a primitive in its place. Without a parent it stands `level_m` over the horizontal plane at `ground`, m.
 pub fn place(
     primitive: &Primitive,
     values: &[f64],
@@ -112,7 +112,7 @@ pub fn place(
 ) -> Result<Placed, Problem> {
     let refuse = || Problem::Attach { name: primitive.name.clone(), attach: primitive.attach.clone() };
     let (origin, yaw) = match parent {
-        None => (Point3::new(0.0, ground, 0.0), 0.0),
+        None => (Point3::new(0.0, ground + primitive.level_m, 0.0), 0.0),
         Some(Placed::Flat(_)) => return Err(refuse()),
         Some(Placed::Solid { base, yaw, support, size, hollow }) => {
             let height = match primitive.attach.as_str() {
@@ -215,8 +215,10 @@ pub fn faces(primitive: &Primitive, placed: &Placed, values: &[f64]) -> Result<V
         let corners = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]];
         Face { name, vertices: corners.map(|[u, v]| plane.at(u * w / 2.0, v * h / 2.0)).to_vec() }
     };
+    // Without a parent there is no face to win over.
+    let lift_m = if primitive.parent.is_some() { IN_FRONT_M } else { 0.0 };
     let forward =
-        |plane: &Plane| Plane { origin: plane.origin + plane.u.cross(&plane.v) * IN_FRONT_M, ..*plane };
+        |plane: &Plane| Plane { origin: plane.origin + plane.u.cross(&plane.v) * lift_m, ..*plane };
     Ok(match (primitive.kind, placed) {
         (kind, Placed::Solid { size: [w, h, d], .. }) => {
             let all: &[&str] = match kind {

@@ -14,7 +14,7 @@ pub const MIN_DIAMETER_PX: f64 = 20.0;
 /// Correlation of the mirror image with the surface below which a place is not taken for the ball's.
 pub const MIN_AGREEMENT: f64 = 0.8;
 /// Share of the outline that may lie outside the picture.
-const MAX_OUTSIDE: f64 = 0.02;
+pub(super) const MAX_OUTSIDE: f64 = 0.02;
 /// Spacing of the coarse search in the picture, px.
 const STEP_PX: usize = 3;
 /// Places whose mirror image is looked at.
@@ -100,10 +100,10 @@ pub fn find(
         centre: view.centre(at),
         radius_m,
         outline_rms_px,
-        outline_support,
-        mirror_correlation: agreement.correlation,
-        reflectivity_seen: agreement.gain,
-        centre_sigma_m: agreement.sigma_m,
+        outline_support: Some(outline_support),
+        mirror_correlation: Some(agreement.correlation),
+        reflectivity_seen: Some(agreement.gain),
+        centre_sigma_m: [agreement.sigma_m[0], 0.0, agreement.sigma_m[1]],
         diameter_px,
     })
 }

@@ -5,6 +5,7 @@ mod edge;
 pub mod environment;
 pub mod find;
 pub mod latlong;
+pub mod marked;
 pub mod mirror_ball;
 pub mod outline;
 #[cfg(test)]
@@ -28,16 +29,16 @@ pub struct ProbeFit {
     pub centre: Point3<f64>,
     /// Radius of the ball, m.
     pub radius_m: f64,
-    /// Distance of the sub-pixel edges from the outline, rms, px.
+    /// Distance of the sub-pixel edges, or of the marks, from the outline, rms, px.
     pub outline_rms_px: f64,
-    /// Share of the outline along which an edge was found.
-    pub outline_support: f64,
-    /// Correlation of the mirrored surface with the surface seen directly.
-    pub mirror_correlation: f64,
+    /// Share of the outline along which an edge was found; none was looked for on a marked outline.
+    pub outline_support: Option<f64>,
+    /// Correlation of the mirrored surface with the surface seen directly, where the ball stands on it.
+    pub mirror_correlation: Option<f64>,
     /// Reflectivity as seen: mirrored over direct luminance of the surface.
-    pub reflectivity_seen: f64,
-    /// Standard deviation of the centre along the support plane's x and z, m.
-    pub centre_sigma_m: [f64; 2],
+    pub reflectivity_seen: Option<f64>,
+    /// Standard deviation of the centre along the world's axes, m; 0 along y where the support's height gives it.
+    pub centre_sigma_m: [f64; 3],
     /// Mean diameter of the ball in the picture, px.
     pub diameter_px: f64,
 }
@@ -57,7 +58,7 @@ impl ProbeFit {
 
 impl JsonArtefact for ProbeFit {
     const FORMAT: &'static str = "insitu-probe";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
 }
 
 /// Why a probe cannot be used.
@@ -90,6 +91,50 @@ pub enum Problem {
         /// Diameter needed, px.
         needed_px: f64,
     },
+    /// Too few marks.
+    #[error("the ball's outline is marked at {found} points, {needed} are needed")]
+    FewMarks {
+        /// How many.
+        found: usize,
+        /// How many are needed.
+        needed: usize,
+    },
+    /// Marks that are not on a ball's outline.
+    #[error("the marks are {rms_px:.1} px (rms) off the outline of any ball, the limit is {limit_px:.1} px")]
+    NotAnOutline {
+        /// How far they are off.
+        rms_px: f64,
+        /// Largest acceptable.
+        limit_px: f64,
+    },
+    /// Marks that leave the distance open.
+    #[error("the marked outline gives the ball's distance to {:.0} % only (limit {:.0} %)", 100.0 * relative, 100.0 * limit)]
+    DistanceUncertain {
+        /// σ / distance.
+        relative: f64,
+        /// Largest acceptable.
+        limit: f64,
+    },
+    /// No ball in front of the camera.
+    #[error("no ball of {radius_m} m radius in front of the camera has the marked outline")]
+    NoBall {
+        /// `probe.radius_m`.
+        radius_m: f64,
+    },
+    /// The outline is marked elsewhere.
+    #[error("the ball's outline is marked in {image}, which is no photograph of the probe")]
+    OtherImage {
+        /// Where it is.
+        image: String,
+    },
+    /// Not the plate's camera.
+    #[error("the probe's photographs have {}×{} px, the plate has {}×{} px: they were not taken from its place", probe[0], probe[1], plate[0], plate[1])]
+    OtherSize {
+        /// Width and height of the probe's photographs, px.
+        probe: [usize; 2],
+        /// Width and height of the plate, px.
+        plate: [usize; 2],
+    },
     /// The radius is not a length.
     #[error("the mirror ball has a radius of {0} m")]
     Radius(f64),
@@ -111,6 +156,13 @@ impl crate::error::Problem for Problem {
                 "check probe.radius_m and probe.support_m, and that grid and ball stand on the same surface"
             }
             Self::NoPicture => "name its photographs in pipeline.toml under [ingest.roles] as `probe`",
+            Self::FewMarks { .. } | Self::DistanceUncertain { .. } => {
+                "mark more points all round the ball under [ball] in annotations.toml"
+            }
+            Self::NotAnOutline { .. } => "check each point of `outline` under [ball] in annotations.toml",
+            Self::NoBall { .. } => "check probe.radius_m and `outline` under [ball] in annotations.toml",
+            Self::OtherImage { .. } => "mark the outline in a photograph of the role `probe`",
+            Self::OtherSize { .. } => "set probe.camera = \"grid\" and show the printed grid beside the ball",
             Self::CutOff { .. } => "use a picture that shows the whole ball",
             Self::TooSmall { .. } => "go closer, use a longer lens or a larger picture",
             Self::Radius(_) => "give the ball's radius in metres as probe.radius_m",

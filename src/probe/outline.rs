@@ -28,6 +28,11 @@ impl Rim {
         Some(Self { centre: centre - axis * (radius_m * k), across: across * rim, up: up * rim })
     }
 
+    /// The angle at which the rim is nearest to a direction from the eye, rad.
+    pub fn angle_of(&self, direction: &Vector3<f64>) -> f64 {
+        direction.dot(&self.up).atan2(direction.dot(&self.across))
+    }
+
     /// The point at an angle, world, m.
     pub fn at(&self, angle: f64) -> Point3<f64> {
         let (sin, cos) = angle.sin_cos();

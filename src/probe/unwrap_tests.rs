@@ -16,10 +16,10 @@ fn fit() -> ProbeFit {
         centre: Point3::new(0.0, 0.5, 0.0),
         radius_m: RADIUS,
         outline_rms_px: 0.0,
-        outline_support: 1.0,
-        mirror_correlation: 1.0,
-        reflectivity_seen: 0.9,
-        centre_sigma_m: [0.0; 2],
+        outline_support: None,
+        mirror_correlation: None,
+        reflectivity_seen: None,
+        centre_sigma_m: [0.0; 3],
     }
 }
 
