@@ -10,7 +10,8 @@ use insitu::exposure::{self, Capture, Frame, Photograph};
 use insitu::image::{Image, Radiance};
 use insitu::merge::{self, Merged, align};
 use insitu::probe::consistency::Surface;
-use insitu::probe::{ProbeFit, Problem, find, marked, unwrap};
+use insitu::probe::unwrap::{self, Unwrapped};
+use insitu::probe::{ProbeFit, Problem, clipped, find, marked};
 use insitu::response::Response;
 use insitu::stage::Context;
 
@@ -39,19 +40,56 @@ fn main() -> std::process::ExitCode {
                 "the ball mirrors {seen:.2} of the surface's light, but probe.reflectivity is {given:.2}"
             ));
         }
-        let out =
+        let mut out =
             unwrap::unwrap(&fit, &merged.radiance, &merged.clipped, settings).doing("unwrapping the ball")?;
         ctx.figure("clipped_power_share", out.clipped_power_share);
         ctx.figure("blind_share", out.blind_share);
-        if out.clipped_power_share > 0.01 {
-            ctx.warn(format!(
-                "{:.0} % of the light is clipped in every exposure of the probe, so there is more: add a shorter exposure",
-                100.0 * out.clipped_power_share
-            ));
+        if out.clipped_power_share > 0.0 {
+            restore(ctx, &fit, &merged, &surface(ctx), &mut out)?;
         }
         json::write(&ctx.output("probe.json"), &fit)?;
         exr::write(&ctx.output("environment.exr"), &out.environment.to_planes(), exr::Kind::LatLong)
     })
+}
+
+/// Gives light that no exposure holds the power that its shadow tells; what cannot be restored is warned of.
+fn restore(
+    ctx: &Context,
+    fit: &ProbeFit,
+    merged: &Merged,
+    surface: &Surface,
+    out: &mut Unwrapped,
+) -> Result<()> {
+    let settings = &ctx.pipeline.probe;
+    let (w, h) = merged.radiance.size();
+    let only = Image::from_fn(w, h, |x, y| {
+        if *merged.clipped.at(x, y) { *merged.radiance.at(x, y) } else { Radiance::default() }
+    });
+    let lost = unwrap::unwrap(fit, &only, &merged.clipped, settings).doing("unwrapping the clipped light")?;
+    let lost = &lost.environment;
+    let share = 100.0 * out.clipped_power_share;
+    match clipped::gain(fit, &merged.radiance, [&out.environment, lost], surface, settings.reflectivity) {
+        Ok(found) => {
+            ctx.figure("clipped_gain", found.gain);
+            ctx.figure("clipped_gain_sigma", found.sigma);
+            ctx.figure("clipped_gain_pixels", found.pixels);
+            // Never below what was measured.
+            let gain = found.gain.map(|g| g.max(1.0));
+            for (l, part) in out.environment.radiance.pixels_mut().iter_mut().zip(lost.radiance.pixels()) {
+                (0..3).for_each(|k| l.0[k] += (gain[k] - 1.0) as f32 * part.0[k]);
+            }
+            let [r, g, b] = gain;
+            ctx.warn(format!(
+                "{share:.0} % of the light is clipped in every exposure of the probe; by the ball's shadow it was raised by {r:.2} {g:.2} {b:.2} (± {:.2}): a shorter exposure would be surer",
+                found.sigma.into_iter().fold(0.0, f64::max)
+            ));
+        }
+        Err(why) if out.clipped_power_share > 0.01 => ctx.warn(format!(
+            "{share:.0} % of the light is clipped in every exposure of the probe, so there is more, and the ball's shadow does not tell how much: {why}; add a shorter exposure"
+        )),
+        Err(_) => {}
+    }
+    Ok(())
 }
 
 /// All photographs of the probe as one picture in plate units.
@@ -104,14 +142,18 @@ fn ball(ctx: &Context, merged: &Merged, camera: &Camera) -> Result<ProbeFit> {
         return marked::fit(camera, &merged.radiance, &ball.outline, settings)
             .doing("fitting the mirror ball to its marked outline");
     }
-    let grid = &ctx.pipeline.calibrate;
+    find::find(camera, &merged.radiance, &surface(ctx), settings).doing("looking for the mirror ball")
+}
+
+/// The surface that the ball stands on, with the printed grid where there is one.
+fn surface(ctx: &Context) -> Surface {
+    let (settings, grid) = (&ctx.pipeline.probe, &ctx.pipeline.calibrate);
     // The squares around the inner corners, and a margin of half a square.
     let half = |corners: u32| f64::from(corners + 2) * grid.square_m / 2.0;
-    let surface = Surface {
+    Surface {
         height_m: settings.support_m.unwrap_or(-grid.thickness_m),
-        board_half_m: Some(grid.inner_corners.map(half)),
-    };
-    find::find(camera, &merged.radiance, &surface, settings).doing("looking for the mirror ball")
+        board_half_m: (settings.camera == ProbeCamera::Grid).then(|| grid.inner_corners.map(half)),
+    }
 }
 
 /// The view of the probe: the plate's, or from the grid in it; drawn at several exposures until the grid is found.

@@ -59,6 +59,7 @@ pub fn merge(
             readings.clear();
             let codes = frames.iter().map(|f| f.codes.pixels()[i].0[channel]);
             readings.extend(codes.zip(&units).map(|(code, unit)| model.read(channel, code, *unit)));
+            overexpose(readings, &model, channel);
             let estimate = estimate(readings, &model, channel);
             radiance.0[channel] = estimate.radiance;
             *variance = estimate.variance;
@@ -192,6 +193,25 @@ struct Estimate {
     radiance: f32,
     variance: f32,
     clipped: bool,
+}
+
+/// By so many standard deviations a shorter exposure must exceed a longer one's range to rule it out.
+const SURE: f32 = 5.0;
+
+/// Marks readings as clipped that a shorter exposure shows to be out of range: JPEG's coarse colour lets the code of a
+/// clipped channel stray below the clipping level beside a small, strong light.
+fn overexpose(readings: &mut [Reading], model: &Noise, channel: usize) {
+    let (_, high) = model.range(channel);
+    for i in 0..readings.len() {
+        let Reading { exposure, unit, clipped, .. } = readings[i];
+        let beyond = |s: &Reading| {
+            let least = || s.exposure - SURE * model.variance(channel, s.exposure).sqrt();
+            s.unit > unit && (s.clipped || !s.dark && least() * s.unit > high * unit)
+        };
+        if !clipped && exposure > 0.5 * high {
+            readings[i].clipped = readings.iter().any(beyond);
+        }
+    }
 }
 
 fn estimate(readings: &[Reading], model: &Noise, channel: usize) -> Estimate {

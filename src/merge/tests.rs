@@ -51,6 +51,19 @@ fn saturated_everywhere_is_a_flagged_lower_bound() {
 }
 
 #[test]
+fn a_clipped_code_that_strays_below_the_level_is_no_reading() {
+    // As JPEG leaves it: saturated, but one channel reads 97 % in all but the shortest exposure.
+    let images: Vec<_> = EXPOSURES.iter().map(|e| shoot(&[8.0], *e, None)).collect();
+    let strayed = |codes: &CodeImage| codes.map(|c| Code([c.0[0], c.0[1], c.0[2].min(0.97)]));
+    let images: Vec<_> = images.iter().map(strayed).collect();
+    let frames: Vec<_> =
+        images.iter().zip(EXPOSURES).map(|(codes, exposure)| Frame { codes, exposure }).collect();
+    let merged = merge(&frames, &Response::srgb(), 1.0, &config::Merge::default()).unwrap();
+    let found = merged.radiance.pixels()[0].0;
+    assert!(found.iter().all(|r| (r / 8.0 - 1.0).abs() < 0.02), "{found:?}");
+}
+
+#[test]
 fn black_everywhere_stays_near_black_with_its_error() {
     let merged = merged(&[1e-9], &EXPOSURES, false);
     let (radiance, variance) = (merged.radiance.pixels()[0].0[1], merged.variance.pixels()[0][1]);

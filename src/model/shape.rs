@@ -217,8 +217,7 @@ pub fn faces(primitive: &Primitive, placed: &Placed, values: &[f64]) -> Result<V
     };
     // Without a parent there is no face to win over.
     let lift_m = if primitive.parent.is_some() { IN_FRONT_M } else { 0.0 };
-    let forward =
-        |plane: &Plane| Plane { origin: plane.origin + plane.u.cross(&plane.v) * lift_m, ..*plane };
+    let forward = |plane: &Plane| Plane { origin: plane.origin + plane.u.cross(&plane.v) * lift_m, ..*plane };
     Ok(match (primitive.kind, placed) {
         (kind, Placed::Solid { size: [w, h, d], .. }) => {
             let all: &[&str] = match kind {

@@ -1,5 +1,6 @@
 //! The light probe: finding the mirror ball and unwrapping what it reflects.
 
+pub mod clipped;
 pub mod consistency;
 mod edge;
 pub mod environment;
