@@ -1,6 +1,8 @@
 //! Hard cases: vanishing lines that do not tell the focal length, grids seen badly.
 
-use super::vanishing::{Edge, RoomEdges, edge_residual, focal_from_edges, vanishing_point};
+use super::vanishing::{
+    Edge, RoomEdges, StatedFocal, edge_residual, fit_edges, focal_from_edges, vanishing_point,
+};
 use super::*;
 use crate::vision::BoardView;
 use nalgebra::{Point2, Point3, Rotation3};
@@ -234,4 +236,19 @@ fn lines_origin_and_scale_alone_give_the_pose() {
     assert!(matches!(solve(&evidence, &settings), Err(Problem::NoOriginOrScale)));
     evidence.lines = None;
     assert!(matches!(solve(&evidence, &settings), Err(Problem::NoFocal)));
+}
+
+#[test]
+fn a_stated_focal_length_counts_by_its_accuracy() {
+    let marked = edges([0.9, 0.6, 0.5], CENTRE, 0.5, &[0, 1, 2]);
+    let with = |relative_sigma| {
+        let stated = StatedFocal { focal_px: 660.0, relative_sigma };
+        fit_edges(&marked, CENTRE, DIAGONAL, 0.5, Some(stated)).unwrap()
+    };
+    let alone = focal_from_edges(&marked, CENTRE, DIAGONAL, 0.5).unwrap().focal_px;
+    let (sure, unsure) = (with(1e-4).focal_px, with(10.0).focal_px);
+    assert!((sure / 660.0 - 1.0).abs() < 1e-3, "{sure}");
+    assert!((unsure / alone - 1.0).abs() < 1e-3, "{unsure} {alone}");
+    let weighed = with(0.02).focal_px;
+    assert!(alone < weighed && weighed < 660.0, "{weighed}");
 }

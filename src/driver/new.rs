@@ -343,7 +343,7 @@ pub fn set(document: &mut DocumentMut, tables: &[&str], key: &str, mut new: Valu
     for table in tables {
         item = &mut item[*table];
     }
-    if let Some(old) = item[key].as_value() {
+    if let Some(old) = item.get(key).and_then(Item::as_value) {
         *new.decor_mut() = old.decor().clone();
     }
     item[key] = Item::Value(new);

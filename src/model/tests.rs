@@ -351,3 +351,28 @@ fn the_glb_reads_back_with_the_camera_in_place() {
     let seen = Point2::new((x + 1.0) * 320.0, (1.0 - p.y / -p.z / half) * 240.0);
     assert!((seen - camera.project(&point).unwrap()).norm() < 1e-2, "{seen}");
 }
+
+#[test]
+fn a_polygon_without_a_parent_lies_on_its_surface_and_a_ground_at_its_level() {
+    let views = Views { cameras: &cameras(), ball: None, ground_y: GROUND };
+    let camera = &views.cameras["plate.jpg"];
+    let corners = [[0.0, 0.0], [0.4, 0.0], [0.4, -0.3], [0.0, -0.3]];
+    let see = |[x, z]: [f64; 2]| camera.project(&Point3::new(x, GROUND, z)).unwrap();
+    let marks: Vec<String> = corners
+        .iter()
+        .enumerate()
+        .map(|(k, c)| {
+            format!("{{ corner = \"{k}\", image = \"plate.jpg\", at = [{}, {}] }}", see(*c).x, see(*c).y)
+        })
+        .collect();
+    let text = format!(
+        "[[primitive]]\nname = \"top\"\nkind = \"polygon\"\nmarks = [{}]\n\
+         [[primitive]]\nname = \"floor\"\nkind = \"ground\"\nlevel_m = -0.4\n",
+        marks.join(", ")
+    );
+    let annotations: Annotations = config::parse(&text, Path::new("annotations.toml")).unwrap();
+    let scene = fit(&annotations.primitive, &views, &config::Model::default()).unwrap();
+    let height = |name: &str| scene.faces.iter().find(|f| f.name == name).unwrap().vertices[0].y;
+    assert!((height("top") - GROUND).abs() < 1e-9, "{}", height("top"));
+    assert!((height("floor") - (GROUND - 0.4)).abs() < 1e-9, "{}", height("floor"));
+}

@@ -17,7 +17,7 @@ const ROBUST_PX: f64 = 2.0;
 const MAX_RMS_PX: f64 = 1.0;
 const MAX_RMS_SHARE: f64 = 0.02;
 /// A distance less certain than this is refused.
-const MAX_RELATIVE_SIGMA: f64 = 0.1;
+const MAX_RELATIVE_SIGMA: f64 = 0.05;
 /// Turn by which the tangent of the outline is taken, rad.
 const STEP: f64 = 1e-4;
 /// Points at which the outline is measured.
@@ -49,8 +49,9 @@ pub fn fit(
     let no_ball = || Problem::NoBall { radius_m };
     let start = start(&marks, radius_m).ok_or_else(no_ball)?;
     let names = ["the ball's x", "the ball's y", "the ball's z"].map(String::from);
-    let found = least_squares::minimise(&residuals, &names, start.as_slice(), Loss::Huber(ROBUST_PX))
-        .map_err(|_| no_ball())?;
+    let found = |loss| least_squares::minimise(&residuals, &names, start.as_slice(), loss);
+    // Marks all over the place can keep the robust fit from settling; the plain one then tells how far off they are.
+    let found = found(Loss::Huber(ROBUST_PX)).or_else(|_| found(Loss::Squares)).map_err(|_| no_ball())?;
     let at = centre(&found.parameters);
     let outline = outline::project(camera, &at, radius_m, FINE).ok_or_else(no_ball)?;
     let radius_px = outline::radius_px(&outline);

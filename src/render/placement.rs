@@ -56,10 +56,18 @@ fn check_scene(object: &Object, scene: &[Vec3], scene_bvh: &Bvh) -> Result<(), P
         let below = high[k] < scene_low[k];
         let mut above = low[k] > scene_high[k];
         if axis == 'y' && above {
-            // Between floor and object there is a ceiling, which looks down, or just air.
-            let from = Vec3::new((low.x + high.x) / 2.0, low.y, (low.z + high.z) / 2.0);
-            let hit = scene_bvh.closest(from, -Vec3::Y, 1e-4, f32::INFINITY);
-            above = hit.is_some_and(|hit| scene_bvh.normal(hit.triangle).y < 0.0);
+            // Between floor and object there is a ceiling, or just air.
+            let down = |x: f32, z: f32| {
+                let from = Vec3::new(x, low.y, z);
+                let mut t = 1e-4;
+                let mut surfaces = 0;
+                while let Some(hit) = scene_bvh.closest(from, -Vec3::Y, t, f32::INFINITY) {
+                    surfaces += 1;
+                    t = hit.t + 1e-4;
+                }
+                surfaces
+            };
+            above = down((low.x + high.x) / 2.0, (low.z + high.z) / 2.0) >= 2;
         }
         if below || above {
             return Err(Problem::OutsideScene {

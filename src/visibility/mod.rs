@@ -46,13 +46,6 @@ impl Bvh {
         Self { bvh, triangles }
     }
 
-    /// Normal of a triangle on its front, not of unit length.
-    pub fn normal(&self, triangle: u32) -> Vec3 {
-        let t = &self.triangles[triangle as usize];
-        let (a, b, c) = (Vec3::from(t.v0), Vec3::from(t.v1), Vec3::from(t.v2));
-        (b - a).cross(c - a)
-    }
-
     /// The nearest triangle within `t_min..t_max`, from either side.
     pub fn closest(&self, origin: Vec3, direction: Vec3, t_min: f32, t_max: f32) -> Option<Hit> {
         if self.triangles.is_empty() {
