@@ -19,10 +19,10 @@ fn fit() -> ProbeFit {
         centre,
         radius_m: RADIUS,
         outline_rms_px: 0.0,
-        outline_support: 1.0,
-        mirror_correlation: 1.0,
-        reflectivity_seen: 0.9,
-        centre_sigma_m: [0.0; 2],
+        outline_support: Some(1.0),
+        mirror_correlation: Some(1.0),
+        reflectivity_seen: Some(0.9),
+        centre_sigma_m: [0.0; 3],
     }
 }
 
