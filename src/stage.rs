@@ -50,7 +50,7 @@ pub const STAGES: &[Stage] = &[
         reads: &["merge", "calibrate", "probe", "model"],
         about: "carry the probe's radiance onto a patch mesh",
     },
-    Stage { name: "irradiance", version: 1, reads: &["illuminate"], about: "build the irradiance volume" },
+    Stage { name: "irradiance", version: 2, reads: &["illuminate"], about: "build the irradiance volume" },
     Stage {
         name: "transfer",
         version: 1,
@@ -59,7 +59,7 @@ pub const STAGES: &[Stage] = &[
     },
     Stage {
         name: "render",
-        version: 1,
+        version: 2,
         reads: &["merge", "calibrate", "model", "illuminate", "irradiance", "transfer"],
         about: "shade the object, evaluate the shadow method",
     },

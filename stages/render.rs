@@ -4,7 +4,7 @@ use insitu::artefact::{exr, json};
 use insitu::calibrate::Cameras;
 use insitu::error::{Context as _, Result};
 use insitu::illuminate;
-use insitu::irradiance::Volume;
+use insitu::irradiance::{Beams, Volume};
 use insitu::model::{Scene, face};
 use insitu::render::{self, Environment, Lighting, Object, Shadowed};
 use insitu::shadow::{self, Occluder, Receivers};
@@ -49,7 +49,8 @@ fn main() -> std::process::ExitCode {
         let light_bvh = Bvh::new(&light.mesh.vertices, &light.mesh.triangles());
         let width = settings.environment_px.max(8);
         let environment = Environment::cast(&light, &light_bvh, (low + high) / 2.0, width, width / 2);
-        let irradiance = |position, normal| volume.irradiance(position, normal);
+        let beams = Beams::new(&light.distant, &light_bvh);
+        let irradiance = |position, normal| volume.irradiance_with(&beams, position, normal);
         let shadowed = Shadowed { camera, plate: &plate, removed: &removed.epsilon, scene: &scene_bvh };
         let lighting =
             Lighting::new(&irradiance, &environment, &object, settings.shading_rays, Some(&shadowed));

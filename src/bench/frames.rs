@@ -4,6 +4,7 @@ use super::{Static, spread};
 use crate::config::Backend;
 use crate::error::{Context as _, Error, Result};
 use crate::gpu;
+use crate::irradiance::Beams;
 use crate::printer::Printer;
 use crate::render::{self, Environment, Lighting, Object, Shadowed};
 use crate::shadow::{self, Occluder, RadianceTransfer, Removed};
@@ -107,7 +108,8 @@ fn shade(statics: &Static, object: &Object, removed: &Removed, workspace: &Works
     let width = settings.environment_px.max(8);
     let environment =
         Environment::cast(&statics.light, &statics.light_bvh, (low + high) / 2.0, width, width / 2);
-    let irradiance = |position, normal| statics.volume.irradiance(position, normal);
+    let beams = Beams::new(&statics.light.distant, &statics.light_bvh);
+    let irradiance = |position, normal| statics.volume.irradiance_with(&beams, position, normal);
     let shadowed =
         Shadowed { camera, plate: &statics.plate, removed: &removed.epsilon, scene: &statics.scene_bvh };
     let lighting = Lighting::new(&irradiance, &environment, object, settings.shading_rays, Some(&shadowed));

@@ -1,10 +1,14 @@
 //! The irradiance volume: incident radiance in second-order spherical harmonics on a regular grid, with visibility
-//! (Greger et al. 1998; Gibson and Chalmers 2003, §5).
+//! (Greger et al. 1998; Gibson and Chalmers 2003, §5). The sun is kept apart: [`Beams`].
+
+mod beam;
+
+pub use beam::Beams;
 
 use crate::artefact::ply;
 use crate::config;
 use crate::error::{Error, Result};
-use crate::illuminate::patch::{LightModel, PatchMesh};
+use crate::illuminate::patch::{DistantSource, LightModel, PatchMesh};
 use crate::sh;
 use crate::visibility::Bvh;
 use glam::Vec3;
@@ -85,11 +89,12 @@ impl Volume {
         let size = cells.to_array().map(|c| c as usize + 1);
         let spacing = (end - origin) / cells;
         let bvh = Bvh::new(&light.mesh.vertices, &light.mesh.triangles());
+        let (_, soft) = beam::split(&light.distant);
         let nodes: Vec<_> = (0..size.iter().product::<usize>())
             .into_par_iter()
             .map(|i| {
                 let at = origin + spacing * index(i, size).map_vec();
-                incident(light, &bvh, at, settings.rays)
+                incident(&light.mesh, &soft, &bvh, at, settings.rays)
             })
             .collect();
         if nodes.iter().all(Option::is_none) {
@@ -98,10 +103,16 @@ impl Volume {
         Ok(Self { origin, spacing, size, nodes })
     }
 
-    /// Irradiance on a surface of unit `normal`, plate units: nodes are interpolated linearly, those inside objects left
+    /// Irradiance on a surface of unit `normal` of all light but [`Beams`], plate units: nodes are interpolated linearly, those inside objects left
     /// out; beyond the grid its border holds.
     pub fn irradiance(&self, position: Vec3, normal: Vec3) -> [f32; 3] {
         sh::irradiance(&self.harmonics(position), normal)
+    }
+
+    /// Irradiance of all light, beams included.
+    pub fn irradiance_with(&self, beams: &Beams, position: Vec3, normal: Vec3) -> [f32; 3] {
+        let (soft, hard) = (self.irradiance(position, normal), beams.irradiance(position, normal));
+        std::array::from_fn(|k| soft[k] + hard[k])
     }
 
     /// Interpolated harmonics of incident radiance.
@@ -256,7 +267,13 @@ fn bounds(mesh: &PatchMesh, support: f32, reach: f32) -> (Vec3, Vec3) {
 }
 
 /// Incident radiance at a point; `None` inside something solid.
-fn incident(light: &LightModel, bvh: &Bvh, at: Vec3, rays: usize) -> Option<sh::Coefficients> {
+fn incident(
+    mesh: &PatchMesh,
+    distant: &[DistantSource],
+    bvh: &Bvh,
+    at: Vec3,
+    rays: usize,
+) -> Option<sh::Coefficients> {
     let mut sum = sh::Projection::default();
     let solid_angle = 4.0 * std::f64::consts::PI / rays as f64;
     let mut behind = 0usize;
@@ -264,8 +281,8 @@ fn incident(light: &LightModel, bvh: &Bvh, at: Vec3, rays: usize) -> Option<sh::
         let d = sphere_direction(i, rays);
         if let Some(hit) = bvh.closest(at, d, 0.0, f32::MAX) {
             let patch = hit.triangle as usize;
-            if light.mesh.normal(patch).dot(d) < 0.0 {
-                sum.add(d, light.mesh.patches[patch].radiance, solid_angle);
+            if mesh.normal(patch).dot(d) < 0.0 {
+                sum.add(d, mesh.patches[patch].radiance, solid_angle);
             } else {
                 behind += 1;
             }
@@ -274,7 +291,7 @@ fn incident(light: &LightModel, bvh: &Bvh, at: Vec3, rays: usize) -> Option<sh::
     if behind as f64 > MAX_BEHIND * rays as f64 {
         return None;
     }
-    for s in &light.distant {
+    for s in distant {
         if !bvh.any_hit(at, s.direction, 0.0, f32::MAX) {
             sum.add(s.direction, s.radiance, f64::from(s.solid_angle_sr));
         }

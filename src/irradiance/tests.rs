@@ -54,6 +54,36 @@ fn a_uniform_sky_over_black_ground() {
 }
 
 #[test]
+fn the_sun_is_added_exactly_where_it_shines() {
+    // A sky of even cells and a sun that sends as much: harmonics alone would be 6 % too bright towards it and leave a
+    // tenth of it on surfaces turned away.
+    let mut light = light(&room::faces(40.0, 1.0, 40.0)[..1], [0.0; 3]);
+    let n = 4000;
+    let sky = |i| DistantSource {
+        direction: sphere_direction(i, n),
+        solid_angle_sr: 4.0 * PI / n as f32,
+        radiance: [1.0; 3],
+    };
+    let sun = DistantSource {
+        direction: Vec3::new(0.6, 0.8, 0.0),
+        solid_angle_sr: 1e-3,
+        radiance: [4e3, 3e3, 2e3],
+    };
+    light.distant = (0..n).map(sky).collect();
+    let without = Volume::build(&light, 0.0, &settings()).unwrap();
+    light.distant.insert(0, sun);
+    let with = Volume::build(&light, 0.0, &settings()).unwrap();
+    assert_eq!(with, without, "the sun stays out of the volume");
+    let bvh = Bvh::new(&light.mesh.vertices, &light.mesh.triangles());
+    let beams = Beams::new(&light.distant, &bvh);
+    let p = Vec3::new(0.1, 0.3, 0.1);
+    let e = beams.irradiance(p, Vec3::Y);
+    assert!((e[0] - 3.2).abs() < 1e-4 && (e[2] - 1.6).abs() < 1e-4, "{e:?}");
+    assert_eq!(beams.irradiance(p, -Vec3::X), [0.0; 3]);
+    assert_eq!(beams.irradiance(p - Vec3::Y, Vec3::Y), [0.0; 3], "the ground hides it from below");
+}
+
+#[test]
 fn nodes_inside_a_box_are_left_out() {
     let mut faces = room::faces(4.0, 3.0, 4.0);
     for f in room::faces(1.0, 1.2, 1.0) {

@@ -14,7 +14,7 @@ use rand::{Rng, SeedableRng, rngs::SmallRng};
 use rayon::prelude::*;
 
 /// A texel that sends more than this share of all power is a source of its own; the rest is summed in coarse cells.
-const STRONG_SHARE: f64 = 1e-4;
+const STRONG_SHARE: f64 = 1e-3;
 /// Texels of the environment along each side of a coarse cell.
 const CELL: usize = 8;
 /// Clipped light further spread than this (angle from its middle, rad) casts no single shadow.

@@ -77,7 +77,7 @@ fn photographed(level: [f32; 3], sun: Vector3<f64>) -> (Result<Gain, Unusable>, 
         _ => [0.0; 3],
     };
     // What the ball mirrors of the floor stays dark, as the table has it.
-    let truth = render(&fit.camera, &fit.centre, RADIUS, 0.9, light, |_, _| [0.0; 3], 12);
+    let truth = render(&fit.camera, &fit.centre, RADIUS, 0.9, light, |_, _| [0.0; 3], 6);
     let ground = render(&fit.camera, &fit.centre, RADIUS, 0.0, |_| [0.0; 3], floor, 2);
     let truth = Image::from_fn(480, 360, |x, y| {
         Radiance(std::array::from_fn(|k| truth.at(x, y).0[k] + ground.at(x, y).0[k]))
