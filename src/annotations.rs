@@ -2,7 +2,7 @@
 //! top-left pixel.
 
 use crate::error::{FileContext, Result};
-use crate::stage::Context;
+use crate::stage::{Context, Input};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -19,7 +19,9 @@ pub struct Annotations {
 impl Annotations {
     /// What was marked for this pipeline; nothing if there is no such file.
     pub fn load(ctx: &Context) -> Result<Self> {
-        if !ctx.base.join(&ctx.pipeline.annotations).exists() {
+        let path = ctx.base.join(&ctx.pipeline.annotations);
+        if !path.exists() {
+            ctx.depends_on(&path, Input::Absent);
             return Ok(Self::default());
         }
         Self::read(&ctx.user_file(&ctx.pipeline.annotations)?)

@@ -1,6 +1,8 @@
 //! `pipeline.toml`: one table a stage, every key with its unit in its name and a default that works.
 
-use crate::error::{Error, FileContext, Result};
+mod ranges;
+
+use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -328,11 +330,14 @@ settings! {
 impl Pipeline {
     /// Reads a settings file; mistakes are shown with line and column, unknown keys with the nearest known one.
     pub fn read(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path).at("reading the settings", path)?;
+        let text = text_of(path)?;
         let own: Self = parse(&text, path)?;
-        let Some(base) = &own.extends else { return Ok(own) };
+        let Some(base) = &own.extends else {
+            own.check(&[(path, &text)])?;
+            return Ok(own);
+        };
         let base_path = path.parent().unwrap_or(Path::new("")).join(base);
-        let base_text = std::fs::read_to_string(&base_path).at("reading the settings", &base_path)?;
+        let base_text = text_of(&base_path)?;
         if parse::<Self>(&base_text, &base_path)?.extends.is_some() {
             return Err(Error::Settings {
                 file: base_path,
@@ -344,9 +349,22 @@ impl Pipeline {
         }
         let mut merged: toml::Table = parse(&base_text, &base_path)?;
         overlay(&mut merged, parse(&text, path)?);
-        merged
+        let whole: Self = merged
             .try_into()
-            .map_err(|e| Error::Bug(format!("merging {} and {}: {e}", path.display(), base.display())))
+            .map_err(|e| Error::Bug(format!("merging {} and {}: {e}", path.display(), base.display())))?;
+        whole.check(&[(path, &text), (&base_path, &base_text)])?;
+        Ok(whole)
+    }
+
+    /// Refuses numbers that make no sense, and shows them in the first of the files that gives them.
+    fn check(&self, files: &[(&Path, &str)]) -> Result<()> {
+        let Some(outside) = ranges::check(self) else { return Ok(()) };
+        let found = files.iter().find_map(|(path, text)| {
+            ranges::place(text, outside.path).map(|at| (*path, line_and_column(text, at)))
+        });
+        let (file, (line, column)) = found.unwrap_or((files[0].0, (0, 0)));
+        let (problem, hint) = (outside.problem, outside.hint);
+        Err(Error::Settings { file: file.to_path_buf(), line, column, problem, hint })
     }
 
     /// The table of a stage, as it enters the stage's digest.
@@ -367,14 +385,28 @@ fn overlay(lower: &mut toml::Table, upper: toml::Table) {
     }
 }
 
+/// The text of a settings file.
+fn text_of(path: &Path) -> Result<String> {
+    std::fs::read_to_string(path).map_err(|e| Error::Settings {
+        file: path.to_path_buf(),
+        line: 0,
+        column: 0,
+        problem: format!("reading the settings: {e}"),
+        hint: "name a settings file, or write one with `insitu new FOLDER`".into(),
+    })
+}
+
+/// Line and column, from 1, of a byte of a text.
+fn line_and_column(text: &str, byte: usize) -> (usize, usize) {
+    let before = text.get(..byte).unwrap_or(text);
+    let column = before.chars().rev().take_while(|c| *c != '\n').count() + 1;
+    (before.matches('\n').count() + 1, column)
+}
+
 /// Reads TOML into any settings type, with located errors.
 pub fn parse<T: serde::de::DeserializeOwned>(text: &str, path: &Path) -> Result<T> {
     toml::from_str(text).map_err(|e| {
-        let (line, column) = e.span().map_or((0, 0), |span| {
-            let before = &text[..span.start.min(text.len())];
-            let column = before.len() - before.rfind('\n').map_or(0, |i| i + 1) + 1;
-            (before.matches('\n').count() + 1, column)
-        });
+        let (line, column) = e.span().map_or((0, 0), |span| line_and_column(text, span.start));
         let problem = e.message().lines().collect::<Vec<_>>().join(" ");
         let hint = nearest_key(&problem).map_or("see the commented pipeline.toml of insitu".into(), |key| {
             format!("did you mean `{key}`?")

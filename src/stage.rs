@@ -104,6 +104,8 @@ pub enum Input {
     Header(String),
     /// BLAKE3 of the names in a folder.
     Listing(String),
+    /// Looked for and not there.
+    Absent,
 }
 
 /// `stage.json`: how a result was made.
@@ -363,6 +365,8 @@ pub fn state(workspace: &Workspace, stage: &Stage) -> State {
             Input::File(_) => digest_file(&path).map(Input::File),
             Input::Header(_) => crate::exposure::header_digest(&path).map(Input::Header),
             Input::Listing(_) => crate::exposure::listing_digest(&path).map(Input::Listing),
+            Input::Absent if path.exists() => return State::Stale(format!("{key} is there now")),
+            Input::Absent => Ok(Input::Absent),
         };
         match now {
             Ok(now) if now == *recorded => {}

@@ -11,6 +11,11 @@ pub trait JsonArtefact: Serialize + DeserializeOwned {
     const FORMAT: &'static str;
     /// Schema version; raised with every change of meaning.
     const VERSION: u32;
+
+    /// What its users rely on and its type does not say; else what is wrong.
+    fn check(&self) -> std::result::Result<(), String> {
+        Ok(())
+    }
 }
 
 #[derive(Serialize)]
@@ -47,5 +52,7 @@ pub fn read<T: JsonArtefact>(path: &Path) -> Result<T> {
         }
         None => return Err(refuse("has no schema `version`".into())),
     }
-    serde_json::from_value(value).map_err(|e| refuse(e.to_string()))
+    let content: T = serde_json::from_value(value).map_err(|e| refuse(e.to_string()))?;
+    content.check().map_err(refuse)?;
+    Ok(content)
 }

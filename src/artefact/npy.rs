@@ -3,7 +3,7 @@
 use super::REMAKE;
 use crate::error::{Error, FileContext, Result};
 use ndarray::Array2;
-use ndarray_npy::{ReadNpyExt, WriteNpyExt};
+use ndarray_npy::{ReadNpyExt, WriteNpyError, WriteNpyExt};
 use std::fs::File;
 use std::io::{BufReader, BufWriter, Write};
 use std::path::Path;
@@ -11,7 +11,13 @@ use std::path::Path;
 /// Writes a matrix, row-major.
 pub fn write(path: &Path, array: &Array2<f32>) -> Result<()> {
     let mut file = BufWriter::new(File::create(path).at("writing", path)?);
-    array.write_npy(&mut file).map_err(|e| Error::Bug(format!("writing {}: {e}", path.display())))?;
+    array
+        .write_npy(&mut file)
+        .map_err(|e| match e {
+            WriteNpyError::Io(e) => e,
+            e => std::io::Error::other(e),
+        })
+        .at("writing", path)?;
     file.flush().at("writing", path)
 }
 
