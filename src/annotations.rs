@@ -30,7 +30,9 @@ impl Annotations {
     /// Reads the file.
     pub fn read(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path).at("reading the annotations", path)?;
-        crate::config::parse(&text, path)
+        let annotations = crate::config::parse(&text, path)?;
+        crate::config::refuse_wild_numbers(&text, path)?;
+        Ok(annotations)
     }
 }
 

@@ -1,11 +1,14 @@
 //! `pipeline.toml`: one table a stage, every key with its unit in its name and a default that works.
 
 mod ranges;
+mod text;
 
 use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use text::{line_and_column, text_of};
+pub use text::{parse, refuse_wild_numbers};
 
 macro_rules! settings {
     ($(#[$doc:meta])* $name:ident { $($(#[$field_doc:meta])* $field:ident : $type:ty = $default:expr,)* }) => {
@@ -330,14 +333,14 @@ settings! {
 impl Pipeline {
     /// Reads a settings file; mistakes are shown with line and column, unknown keys with the nearest known one.
     pub fn read(path: &Path) -> Result<Self> {
-        let text = text_of(path)?;
+        let text = text_of(path, "name a settings file, or write one with `insitu new FOLDER`")?;
         let own: Self = parse(&text, path)?;
         let Some(base) = &own.extends else {
             own.check(&[(path, &text)])?;
             return Ok(own);
         };
         let base_path = path.parent().unwrap_or(Path::new("")).join(base);
-        let base_text = text_of(&base_path)?;
+        let base_text = text_of(&base_path, &format!("check `extends` in {}", path.display()))?;
         if parse::<Self>(&base_text, &base_path)?.extends.is_some() {
             return Err(Error::Settings {
                 file: base_path,
@@ -383,49 +386,6 @@ fn overlay(lower: &mut toml::Table, upper: toml::Table) {
             }
         }
     }
-}
-
-/// The text of a settings file.
-fn text_of(path: &Path) -> Result<String> {
-    std::fs::read_to_string(path).map_err(|e| Error::Settings {
-        file: path.to_path_buf(),
-        line: 0,
-        column: 0,
-        problem: format!("reading the settings: {e}"),
-        hint: "name a settings file, or write one with `insitu new FOLDER`".into(),
-    })
-}
-
-/// Line and column, from 1, of a byte of a text.
-fn line_and_column(text: &str, byte: usize) -> (usize, usize) {
-    let before = text.get(..byte).unwrap_or(text);
-    let column = before.chars().rev().take_while(|c| *c != '\n').count() + 1;
-    (before.matches('\n').count() + 1, column)
-}
-
-/// Reads TOML into any settings type, with located errors.
-pub fn parse<T: serde::de::DeserializeOwned>(text: &str, path: &Path) -> Result<T> {
-    toml::from_str(text).map_err(|e| {
-        let (line, column) = e.span().map_or((0, 0), |span| line_and_column(text, span.start));
-        let problem = e.message().lines().collect::<Vec<_>>().join(" ");
-        let hint = nearest_key(&problem).map_or("see the commented pipeline.toml of insitu".into(), |key| {
-            format!("did you mean `{key}`?")
-        });
-        Error::Settings { file: path.to_path_buf(), line, column, problem, hint }
-    })
-}
-
-/// From serde's "unknown field `a`, expected one of `b`, `c`": the expected name nearest to the one found.
-fn nearest_key(message: &str) -> Option<String> {
-    if !message.starts_with("unknown") {
-        return None;
-    }
-    let names: Vec<&str> = message.split('`').skip(1).step_by(2).collect();
-    let (found, expected) = names.split_first()?;
-    expected
-        .iter()
-        .max_by(|a, b| strsim::jaro_winkler(found, a).total_cmp(&strsim::jaro_winkler(found, b)))
-        .map(|s| s.to_string())
 }
 
 #[cfg(test)]

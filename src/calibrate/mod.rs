@@ -69,8 +69,8 @@ impl JsonArtefact for Cameras {
         if !self.cameras.contains_key(&self.plate) {
             return Err(format!("has no camera of the plate, {}", self.plate));
         }
-        for (file, posed) in &self.cameras {
-            let lens = &posed.camera.intrinsics;
+        let lenses = self.cameras.iter().map(|(file, posed)| (file, &posed.camera.intrinsics));
+        for (file, lens) in lenses.chain([(&self.plate, &self.intrinsics)]) {
             if lens.width_px == 0 || lens.height_px == 0 || !lens.focal_px.iter().all(|f| *f > 0.0) {
                 return Err(format!("has an impossible lens for {file}"));
             }

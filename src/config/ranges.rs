@@ -103,7 +103,7 @@ pub(super) fn check(pipeline: &Pipeline) -> Option<Outside> {
     for &(table, key, range) in RANGES {
         let Some(given) = value.get(table).and_then(|t| t.get(key)) else { continue };
         if let Some(bad) = numbers(given).into_iter().find(|v| !range.holds(*v)) {
-            let usual = default.get(table).and_then(|t| t.get(key)).map(|d| numbers(d));
+            let usual = default.get(table).and_then(|t| t.get(key)).map(numbers);
             let usual = usual.map_or(String::new(), |d| {
                 let all: Vec<_> = d.iter().map(|v| shown(*v)).collect();
                 format!("; without it, it is {}", all.join(", "))
@@ -114,6 +114,15 @@ pub(super) fn check(pipeline: &Pipeline) -> Option<Outside> {
                 hint: format!("give a number {range}{usual}"),
             });
         }
+    }
+    let render = &pipeline.render;
+    let sum = (0..3).map(|k| render.diffuse[k] + render.specular[k]).fold(0.0, f32::max);
+    if sum > 1.0 + 1e-6 {
+        return Some(Outside {
+            path: ["render", "specular"],
+            problem: format!("`render.diffuse` and `render.specular` together reflect {sum}"),
+            hint: "let them add up to at most 1 in every channel".into(),
+        });
     }
     exposure(&value)
 }
