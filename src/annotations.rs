@@ -2,7 +2,7 @@
 //! top-left pixel.
 
 use crate::error::{FileContext, Result};
-use crate::stage::Context;
+use crate::stage::{Context, Input};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -21,7 +21,9 @@ pub struct Annotations {
 impl Annotations {
     /// What was marked for this pipeline; nothing if there is no such file.
     pub fn load(ctx: &Context) -> Result<Self> {
-        if !ctx.base.join(&ctx.pipeline.annotations).exists() {
+        let path = ctx.base.join(&ctx.pipeline.annotations);
+        if !path.exists() {
+            ctx.depends_on(&path, Input::Absent);
             return Ok(Self::default());
         }
         Self::read(&ctx.user_file(&ctx.pipeline.annotations)?)
@@ -30,7 +32,9 @@ impl Annotations {
     /// Reads the file.
     pub fn read(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path).at("reading the annotations", path)?;
-        crate::config::parse(&text, path)
+        let annotations = crate::config::parse(&text, path)?;
+        crate::config::refuse_wild_numbers(&text, path)?;
+        Ok(annotations)
     }
 }
 

@@ -1,9 +1,14 @@
 //! `pipeline.toml`: one table a stage, every key with its unit in its name and a default that works.
 
-use crate::error::{Error, FileContext, Result};
+mod ranges;
+mod text;
+
+use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use text::{line_and_column, text_of};
+pub use text::{parse, refuse_wild_numbers};
 
 macro_rules! settings {
     ($(#[$doc:meta])* $name:ident { $($(#[$field_doc:meta])* $field:ident : $type:ty = $default:expr,)* }) => {
@@ -343,11 +348,14 @@ settings! {
 impl Pipeline {
     /// Reads a settings file; mistakes are shown with line and column, unknown keys with the nearest known one.
     pub fn read(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path).at("reading the settings", path)?;
+        let text = text_of(path, "name a settings file, or write one with `insitu new FOLDER`")?;
         let own: Self = parse(&text, path)?;
-        let Some(base) = &own.extends else { return Ok(own) };
+        let Some(base) = &own.extends else {
+            own.check(&[(path, &text)])?;
+            return Ok(own);
+        };
         let base_path = path.parent().unwrap_or(Path::new("")).join(base);
-        let base_text = std::fs::read_to_string(&base_path).at("reading the settings", &base_path)?;
+        let base_text = text_of(&base_path, &format!("check `extends` in {}", path.display()))?;
         if parse::<Self>(&base_text, &base_path)?.extends.is_some() {
             return Err(Error::Settings {
                 file: base_path,
@@ -359,9 +367,22 @@ impl Pipeline {
         }
         let mut merged: toml::Table = parse(&base_text, &base_path)?;
         overlay(&mut merged, parse(&text, path)?);
-        merged
+        let whole: Self = merged
             .try_into()
-            .map_err(|e| Error::Bug(format!("merging {} and {}: {e}", path.display(), base.display())))
+            .map_err(|e| Error::Bug(format!("merging {} and {}: {e}", path.display(), base.display())))?;
+        whole.check(&[(path, &text), (&base_path, &base_text)])?;
+        Ok(whole)
+    }
+
+    /// Refuses numbers that make no sense, and shows them in the first of the files that gives them.
+    fn check(&self, files: &[(&Path, &str)]) -> Result<()> {
+        let Some(outside) = ranges::check(self) else { return Ok(()) };
+        let found = files.iter().find_map(|(path, text)| {
+            ranges::place(text, outside.path).map(|at| (*path, line_and_column(text, at)))
+        });
+        let (file, (line, column)) = found.unwrap_or((files[0].0, (0, 0)));
+        let (problem, hint) = (outside.problem, outside.hint);
+        Err(Error::Settings { file: file.to_path_buf(), line, column, problem, hint })
     }
 
     /// The table of a stage, as it enters the stage's digest.
@@ -380,35 +401,6 @@ fn overlay(lower: &mut toml::Table, upper: toml::Table) {
             }
         }
     }
-}
-
-/// Reads TOML into any settings type, with located errors.
-pub fn parse<T: serde::de::DeserializeOwned>(text: &str, path: &Path) -> Result<T> {
-    toml::from_str(text).map_err(|e| {
-        let (line, column) = e.span().map_or((0, 0), |span| {
-            let before = &text[..span.start.min(text.len())];
-            let column = before.len() - before.rfind('\n').map_or(0, |i| i + 1) + 1;
-            (before.matches('\n').count() + 1, column)
-        });
-        let problem = e.message().lines().collect::<Vec<_>>().join(" ");
-        let hint = nearest_key(&problem).map_or("see the commented pipeline.toml of insitu".into(), |key| {
-            format!("did you mean `{key}`?")
-        });
-        Error::Settings { file: path.to_path_buf(), line, column, problem, hint }
-    })
-}
-
-/// From serde's "unknown field `a`, expected one of `b`, `c`": the expected name nearest to the one found.
-fn nearest_key(message: &str) -> Option<String> {
-    if !message.starts_with("unknown") {
-        return None;
-    }
-    let names: Vec<&str> = message.split('`').skip(1).step_by(2).collect();
-    let (found, expected) = names.split_first()?;
-    expected
-        .iter()
-        .max_by(|a, b| strsim::jaro_winkler(found, a).total_cmp(&strsim::jaro_winkler(found, b)))
-        .map(|s| s.to_string())
 }
 
 #[cfg(test)]

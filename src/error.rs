@@ -146,10 +146,14 @@ impl<T> FileContext<T> for std::io::Result<T> {
                 std::io::ErrorKind::PermissionDenied => {
                     "make the folder writable, or choose another with `work`"
                 }
-                std::io::ErrorKind::StorageFull => {
+                std::io::ErrorKind::StorageFull
+                | std::io::ErrorKind::QuotaExceeded
+                | std::io::ErrorKind::FileTooLarge => {
                     "free some disk space, then run again: earlier results are kept"
                 }
-                std::io::ErrorKind::ReadOnlyFilesystem => "choose a writable folder with `work`",
+                std::io::ErrorKind::ReadOnlyFilesystem | std::io::ErrorKind::NotADirectory => {
+                    "choose a writable folder with `work`"
+                }
                 _ => "check the disk and the permissions of the folder",
             };
             Error::file(doing, file, e, hint)

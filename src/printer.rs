@@ -1,7 +1,7 @@
 //! What reaches the terminal: data on stdout, all else on stderr; bars only where a person looks.
 
 use indicatif::{ProgressBar, ProgressStyle};
-use std::io::IsTerminal;
+use std::io::{ErrorKind, IsTerminal, Write};
 
 /// How much is said.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -31,9 +31,12 @@ impl Printer {
         self.verbosity
     }
 
-    /// A product: a path, a table.
+    /// A product: a path, a table. A reader that has seen enough (`| head`) is no failure.
     pub fn data(&self, line: &str) {
-        println!("{line}");
+        match writeln!(std::io::stdout(), "{line}") {
+            Err(e) if e.kind() != ErrorKind::BrokenPipe => eprintln!("warning: writing to the output: {e}"),
+            _ => {}
+        }
     }
 
     /// A line of progress.

@@ -4,6 +4,7 @@
 //! is killed leaves the earlier result.
 
 use crate::artefact::json::{self, JsonArtefact};
+use crate::artefact::remake;
 use crate::config::Pipeline;
 use crate::error::{Error, FileContext, Result};
 use crate::printer::Printer;
@@ -104,6 +105,8 @@ pub enum Input {
     Header(String),
     /// BLAKE3 of the names in a folder.
     Listing(String),
+    /// Looked for and not there.
+    Absent,
 }
 
 /// `stage.json`: how a result was made.
@@ -208,15 +211,18 @@ impl Context<'_> {
                 self.stage.name
             )));
         }
-        self.workspace.manifest(stage).map_err(|_| {
-            Error::file(
-                format!("{} needs {file}", self.stage.name),
-                &self.workspace.folder(stage),
-                format!("stage `{stage}` has not finished"),
-                format!("run `insitu run --to {}`", self.stage.name),
-            )
-        })?;
-        self.file(&self.workspace.folder(stage).join(file))
+        let folder = self.workspace.folder(stage);
+        let needs = format!("{} needs {file}", self.stage.name);
+        if let Err(e) = self.workspace.manifest(stage) {
+            let hint = format!("run `insitu run --to {}`", self.stage.name);
+            let never = Error::file(&needs, &folder, format!("stage `{stage}` has not finished"), hint);
+            return Err(if folder.join(MANIFEST).exists() { e } else { never });
+        }
+        let path = folder.join(file);
+        if !path.exists() {
+            return Err(Error::file(needs, &path, "is not there any more", remake(&path)));
+        }
+        self.file(&path)
     }
 
     /// Whether a declared earlier stage wrote this file.
@@ -226,7 +232,10 @@ impl Context<'_> {
 
     /// A file that a user gave, named in the settings or by `capture.json`; its content enters the digest.
     pub fn user_file(&self, relative: &Path) -> Result<PathBuf> {
-        self.file(&self.base.join(relative))
+        let path = self.base.join(relative);
+        let doing = format!("opening an input of stage `{}`", self.stage.name);
+        std::fs::File::open(&path).at(&doing, &path)?;
+        self.file(&path)
     }
 
     /// Records an input of another kind than a whole file.
@@ -363,6 +372,8 @@ pub fn state(workspace: &Workspace, stage: &Stage) -> State {
             Input::File(_) => digest_file(&path).map(Input::File),
             Input::Header(_) => crate::exposure::header_digest(&path).map(Input::Header),
             Input::Listing(_) => crate::exposure::listing_digest(&path).map(Input::Listing),
+            Input::Absent if path.exists() => return State::Stale(format!("{key} is there now")),
+            Input::Absent => Ok(Input::Absent),
         };
         match now {
             Ok(now) if now == *recorded => {}

@@ -1,6 +1,6 @@
 //! Stage `composite`: object and shadow in the plate, linear and as a photograph.
 
-use insitu::artefact::{REMAKE, exr, json};
+use insitu::artefact::{exr, json, remake};
 use insitu::composite::{composite, picture, view, write_png};
 use insitu::error::{Context as _, Error};
 use insitu::exposure::{self, Capture, Photograph};
@@ -14,7 +14,7 @@ fn main() -> std::process::ExitCode {
         let removed = exr::read_radiance(&ctx.artefact("render", "removed.exr")?)?;
         let path = ctx.artefact("render", "object.exr")?;
         let object = Layer::from_planes(&exr::read(&path)?).ok_or_else(|| {
-            Error::file("reading the object's layer", &path, "lacks R, G, B, A or Z", REMAKE)
+            Error::file("reading the object's layer", &path, "lacks R, G, B, A or Z", remake(&path))
         })?;
         let result = composite(&plate, &removed, &object).doing("putting the object into the plate")?;
         ctx.figure("clamped_px", result.clamped_px);

@@ -1,6 +1,6 @@
 //! Stage `evaluate`: figures and report.
 
-use insitu::artefact::{REMAKE, exr, json};
+use insitu::artefact::{exr, json, remake};
 use insitu::calibrate::Cameras;
 use insitu::error::{Context as _, Error, FileContext, Result};
 use insitu::evaluate::gallery::{Gallery, gallery};
@@ -22,7 +22,7 @@ fn main() -> std::process::ExitCode {
         let composite = exr::read_radiance(&ctx.artefact("composite", "augmented.exr")?)?;
         let path = ctx.artefact("render", "object.exr")?;
         let object = Layer::from_planes(&exr::read(&path)?).ok_or_else(|| {
-            Error::file("reading the object's layer", &path, "lacks R, G, B, A or Z", REMAKE)
+            Error::file("reading the object's layer", &path, "lacks R, G, B, A or Z", remake(&path))
         })?;
         let ours =
             Ours { plate: &plate, composite: &composite, coverage: &object.coverage, clipped: &clipped };
@@ -47,7 +47,7 @@ fn main() -> std::process::ExitCode {
 fn read_plate(ctx: &Context) -> Result<(RadianceImage, Image<bool>)> {
     let path = ctx.artefact("merge", "plate.exr")?;
     let planes = exr::read(&path)?;
-    let refuse = || Error::file("reading the plate", &path, "lacks R, G, B or clipped", REMAKE);
+    let refuse = || Error::file("reading the plate", &path, "lacks R, G, B or clipped", remake(&path));
     let clipped = planes.plane("clipped").ok_or_else(refuse)?.iter().map(|c| *c > 0.5).collect();
     let clipped = Image::from_pixels(planes.width, planes.height, clipped);
     Ok((planes.radiance().ok_or_else(refuse)?, clipped))

@@ -1,6 +1,6 @@
 //! Stage `illuminate`: carries the probe's and the plate's radiance onto a patch mesh.
 
-use insitu::artefact::{exr, json};
+use insitu::artefact::{exr, json, remake};
 use insitu::calibrate::Cameras;
 use insitu::error::{Context as _, Error};
 use insitu::illuminate::{build, write_light};
@@ -42,10 +42,5 @@ fn main() -> std::process::ExitCode {
 }
 
 fn unfit(path: &Path) -> Error {
-    Error::file(
-        "reading a picture",
-        path,
-        "lacks planes that it must have",
-        "run `insitu run --force --from` its stage",
-    )
+    Error::file("reading a picture", path, "lacks planes that it must have", remake(path))
 }

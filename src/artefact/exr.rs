@@ -1,6 +1,6 @@
 //! OpenEXR images: 32-bit float channels, Rec. 709 chromaticities, provenance in the header.
 
-use super::REMAKE;
+use super::remake;
 use crate::error::{Error, Result};
 use crate::image::{Image, Radiance, RadianceImage};
 use ::exr::prelude as exr;
@@ -111,7 +111,7 @@ pub fn read(path: &Path) -> Result<Planes> {
             exr::Error::NotSupported(e) => {
                 refuse(format!("not supported ({e})"), "save it with ZIP, PIZ or no compression")
             }
-            e => refuse(format!("damaged or cut short ({e})"), REMAKE),
+            e => refuse(format!("damaged or cut short ({e})"), &remake(path)),
         })?;
     let size = image.layer_data.size;
     let mut channels = Vec::new();
@@ -126,7 +126,10 @@ pub fn read(path: &Path) -> Result<Planes> {
                     i % size.0,
                     i / size.0
                 ),
-                "repair or leave out the file: every sample must be a finite number",
+                &match remake(path) {
+                    again if again.starts_with("run") => again,
+                    _ => "repair or leave out the file: every sample must be a finite number".into(),
+                },
             ));
         }
         channels.push((channel.name.to_string(), samples));
@@ -148,7 +151,7 @@ pub fn read_radiance(path: &Path) -> Result<RadianceImage> {
             "reading an EXR",
             path,
             format!("has channels {}, expected R, G, B", names.join(", ")),
-            REMAKE,
+            remake(path),
         )
     })
 }

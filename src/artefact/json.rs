@@ -1,6 +1,6 @@
 //! JSON artefacts: first keys `format` and `version`, then the content, indented so that it can be read and diffed.
 
-use super::REMAKE;
+use super::remake;
 use crate::error::{Error, FileContext, Result};
 use serde::{Serialize, de::DeserializeOwned};
 use std::path::Path;
@@ -11,6 +11,11 @@ pub trait JsonArtefact: Serialize + DeserializeOwned {
     const FORMAT: &'static str;
     /// Schema version; raised with every change of meaning.
     const VERSION: u32;
+
+    /// What its users rely on and its type does not say; else what is wrong.
+    fn check(&self) -> std::result::Result<(), String> {
+        Ok(())
+    }
 }
 
 #[derive(Serialize)]
@@ -32,7 +37,7 @@ pub fn write<T: JsonArtefact>(path: &Path, content: &T) -> Result<()> {
 /// Reads an artefact; refuses another format, another version, and a file cut short.
 pub fn read<T: JsonArtefact>(path: &Path) -> Result<T> {
     let bytes = std::fs::read(path).at("reading", path)?;
-    let refuse = |problem: String| Error::file(format!("reading {}", T::FORMAT), path, problem, REMAKE);
+    let refuse = |problem: String| Error::file(format!("reading {}", T::FORMAT), path, problem, remake(path));
     let value: serde_json::Value =
         serde_json::from_slice(&bytes).map_err(|e| refuse(format!("damaged or cut short ({e})")))?;
     match value["format"].as_str() {
@@ -47,5 +52,7 @@ pub fn read<T: JsonArtefact>(path: &Path) -> Result<T> {
         }
         None => return Err(refuse("has no schema `version`".into())),
     }
-    serde_json::from_value(value).map_err(|e| refuse(e.to_string()))
+    let content: T = serde_json::from_value(value).map_err(|e| refuse(e.to_string()))?;
+    content.check().map_err(refuse)?;
+    Ok(content)
 }

@@ -1,6 +1,6 @@
 //! Binary little-endian PLY with float vertex properties and triangles with float properties.
 
-use super::REMAKE;
+use super::remake;
 use crate::error::{Error, FileContext, Result};
 use ply_rs_bw::parser::Parser;
 use ply_rs_bw::ply::{
@@ -66,7 +66,7 @@ pub fn write(path: &Path, mesh: &Mesh) -> Result<()> {
 
 /// Reads a mesh of the given format; refuses another one, damaged files and values that are not finite.
 pub fn read(path: &Path, format: &str) -> Result<Mesh> {
-    let refuse = |problem: String| Error::file("reading a PLY", path, problem, REMAKE);
+    let refuse = |problem: String| Error::file("reading a PLY", path, problem, remake(path));
     let mut file = BufReader::new(File::open(path).at("reading", path)?);
     let ply = Parser::<DefaultElement>::new()
         .read_ply(&mut file)

@@ -64,6 +64,19 @@ pub struct Cameras {
 impl JsonArtefact for Cameras {
     const FORMAT: &'static str = "insitu-cameras";
     const VERSION: u32 = 1;
+
+    fn check(&self) -> Result<(), String> {
+        if !self.cameras.contains_key(&self.plate) {
+            return Err(format!("has no camera of the plate, {}", self.plate));
+        }
+        let lenses = self.cameras.iter().map(|(file, posed)| (file, &posed.camera.intrinsics));
+        for (file, lens) in lenses.chain([(&self.plate, &self.intrinsics)]) {
+            if lens.width_px == 0 || lens.height_px == 0 || !lens.focal_px.iter().all(|f| *f > 0.0) {
+                return Err(format!("has an impossible lens for {file}"));
+            }
+        }
+        Ok(())
+    }
 }
 
 impl Cameras {
@@ -77,7 +90,7 @@ impl Cameras {
         Some(Self { intrinsics, focal_sigma_px, plate, cameras })
     }
 
-    /// The camera of the plate.
+    /// The camera of the plate, which [`Self::new`] and the reader make sure of.
     pub fn plate_camera(&self) -> &Camera {
         &self.cameras[&self.plate].camera
     }

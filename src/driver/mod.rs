@@ -84,6 +84,10 @@ enum Command {
 
 /// The `main` of the program.
 pub fn main() -> ExitCode {
+    cli::guard(|| Ok(start())).unwrap_or_else(|e| cli::exit(&cli::printer(false, false), Err(e)))
+}
+
+fn start() -> ExitCode {
     let arguments = Arguments::parse();
     let printer = cli::printer(arguments.quiet, arguments.verbose);
     let outcome: Result<()> = match arguments.command {

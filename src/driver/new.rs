@@ -108,6 +108,9 @@ impl CaptureSheet {
 
 /// Writes `pipeline.toml`, and `annotations.toml` if there is none, into a folder of photographs.
 pub fn new(folder: &Path, printer: &Printer) -> Result<()> {
+    if !folder.is_dir() {
+        return Err(Error::file("looking for photographs", folder, "no such folder", "check the name"));
+    }
     let target = folder.join("pipeline.toml");
     if target.exists() {
         return Err(Error::file(

@@ -2,7 +2,7 @@
 
 use super::{Source, Transfers};
 use crate::artefact::json::{self, JsonArtefact};
-use crate::artefact::{REMAKE, npy};
+use crate::artefact::{npy, remake};
 use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -53,7 +53,8 @@ impl Transfers {
         {
             if found != expected {
                 let problem = format!("is {found:?} large, {a} says {expected:?}");
-                return Err(Error::file("reading the transfers", &folder.join(file), problem, REMAKE));
+                let path = folder.join(file);
+                return Err(Error::file("reading the transfers", &path, problem, remake(&path)));
             }
         }
         Ok(Self {
