@@ -24,7 +24,8 @@ fn main() -> std::process::ExitCode {
             .collect();
         if let Some(lines) = lines.filter(|lines| here.iter().all(|p| p.file != lines.image)) {
             let image = lines.image.clone();
-            return Err(Problem::OtherImage { image }).doing("reading the vanishing lines");
+            return Err(Problem::OtherImage { image })
+                .doing(format!("reading {}", ctx.pipeline.annotations.display()));
         }
         let grids = greys(ctx, &capture, plate, capture.with_role(Role::Grid))?;
         let mut plate_grids = greys(ctx, &capture, plate, capture.with_role(Role::PlateWithGrid))?;
@@ -40,7 +41,8 @@ fn main() -> std::process::ExitCode {
             stated_focal_px: capture.approximate_focal_px(plate),
             lines,
         };
-        let found = calibrate::solve(&evidence, settings).doing("finding lens and pose of the plate")?;
+        let found = calibrate::solve(&evidence, settings)
+            .doing(format!("finding lens and pose of {}", plate.file))?;
 
         found.warnings.iter().for_each(|warning| ctx.warn(warning));
         let intrinsics = &found.plate.camera.intrinsics;

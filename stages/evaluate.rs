@@ -33,8 +33,11 @@ fn main() -> std::process::ExitCode {
         };
         let mut measured = Measured::default();
         let reference = read_reference(ctx)?;
+        let path = ctx.pipeline.evaluate.reference.as_ref();
+        let comparing =
+            || format!("comparing with {}", path.map_or(String::new(), |p| p.display().to_string()));
         let comparison = match &reference {
-            Some(r) => Some(compare(&ours, r, encode, &mut measured).doing("comparing with the reference")?),
+            Some(r) => Some(compare(&ours, r, encode, &mut measured).doing(comparing())?),
             None => None,
         };
         let compared = reference.as_ref().zip(comparison.as_ref());
@@ -65,15 +68,16 @@ fn judge_stages(
     let Some(truth) = read_truth(ctx)? else {
         return Ok(compared.map(|_| "The noise of the reference is unknown.".into()).into_iter().collect());
     };
-    let doing = "judging stages against truth";
+    let path = settings.truth.as_ref().map_or(String::new(), |p| p.display().to_string());
+    let doing = || format!("judging stages against {path}");
     let cameras: Cameras = json::read(&ctx.artefact("calibrate", "cameras.json")?)?;
-    truth.judge_camera(cameras.plate_camera(), &cameras.plate, out).doing(doing)?;
-    truth.judge_response(|c| response.exposure_of(c), out).doing(doing)?;
+    truth.judge_camera(cameras.plate_camera(), &cameras.plate, out).doing(doing())?;
+    truth.judge_response(|c| response.exposure_of(c), out).doing(doing())?;
     let probe: ProbeFit = json::read(&ctx.artefact("probe", "probe.json")?)?;
-    truth.judge_ball(&probe.centre, out).doing(doing)?;
+    truth.judge_ball(&probe.centre, out).doing(doing())?;
     let Some((reference, comparison)) = compared else { return Ok(Vec::new()) };
     if let Some(empty) = &reference.empty {
-        truth.judge_radiance(ours, empty, &cameras.plate, out).doing(doing)?;
+        truth.judge_radiance(ours, empty, &cameras.plate, out).doing(doing())?;
     }
     let stem = settings.reference.as_ref().and_then(|p| p.file_stem()).unwrap_or_default();
     Ok(truth.judge_noise(&stem.to_string_lossy(), comparison, out).into_iter().collect())

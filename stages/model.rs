@@ -26,8 +26,8 @@ fn main() -> std::process::ExitCode {
             views.extend(capture.with_role(Role::Probe).map(|p| (p.file.clone(), probe.camera.clone())));
         }
         let views = Views { cameras: &views, ball, ground_y: -ctx.pipeline.calibrate.thickness_m };
-        let scene =
-            model::fit(&annotations.primitive, &views, &ctx.pipeline.model).doing("fitting the scene")?;
+        let scene = model::fit(&annotations.primitive, &views, &ctx.pipeline.model)
+            .doing(format!("fitting the scene to {}", ctx.pipeline.annotations.display()))?;
 
         ctx.figure("rms_px", scene.rms_px);
         ctx.figure("faces", scene.faces.len());

@@ -100,7 +100,8 @@ fn merged(ctx: &Context) -> Result<Merged> {
     let unit = capture.plate_exposure()?;
     let photos: Vec<_> = capture.with_role(Role::Probe).collect();
     if photos.is_empty() {
-        return Err(Problem::NoPicture).doing("looking for the mirror ball");
+        return Err(Problem::NoPicture)
+            .doing("looking for the mirror ball in the photographs of role `probe`");
     }
     let bar = ctx.printer.progress("reading the probe", photos.len() as u64);
     let mut images = Vec::new();
@@ -142,7 +143,8 @@ fn ball(ctx: &Context, merged: &Merged, camera: &Camera) -> Result<ProbeFit> {
         return marked::fit(camera, &merged.radiance, &ball.outline, settings)
             .doing("fitting the mirror ball to its marked outline");
     }
-    find::find(camera, &merged.radiance, &surface(ctx), settings).doing("looking for the mirror ball")
+    find::find(camera, &merged.radiance, &surface(ctx), settings)
+        .doing("looking for the mirror ball in the photographs of role `probe`")
 }
 
 /// The surface that the ball stands on, with the printed grid where there is one.
@@ -185,7 +187,7 @@ fn camera(ctx: &Context, merged: &Merged) -> Result<Camera> {
         }
     }
     match last {
-        Some(problem) => Err(problem).doing("looking for the grid in the probe's picture"),
-        None => Err(Problem::NoPicture).doing("looking for the grid in the probe's picture"),
+        Some(problem) => Err(problem).doing("looking for the grid in the photographs of role `probe`"),
+        None => Err(Problem::NoPicture).doing("looking for the grid in the photographs of role `probe`"),
     }
 }

@@ -110,7 +110,11 @@ pub fn solve(evidence: &Evidence, settings: &config::Calibrate) -> Result<Soluti
     if let Some(Err(problem)) = &edge_fit {
         warnings.push(format!("the vanishing lines give no focal length: {problem}"));
     }
-    let edge_fit = edge_fit.and_then(Result::ok);
+    let (edge_fit, lines_problem) = match edge_fit {
+        Some(Ok(fit)) => (Some(fit), None),
+        Some(Err(problem)) => (None, Some(problem)),
+        None => (None, None),
+    };
     if let Some(fit) = edge_fit.as_ref().filter(|f| f.worst.2 > 2.0 * vanishing::ROBUST) {
         let axis = ["x", "y", "z"][fit.worst.0];
         warnings.push(format!(
@@ -123,6 +127,9 @@ pub fn solve(evidence: &Evidence, settings: &config::Calibrate) -> Result<Soluti
     let edges = marked.as_ref().map(|(_, edges)| edges);
     let (plate, edge_rms_px) = match settings.pose {
         PoseSource::VanishingLines => {
+            if let Some(problem) = lines_problem {
+                return Err(problem);
+            }
             (lines_alone(evidence, &intrinsics, edge_fit.as_ref(), settings)?, None)
         }
         source => {

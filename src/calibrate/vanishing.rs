@@ -109,6 +109,10 @@ pub fn fit_edges(
             points[k] = Some(vanishing_point(edges, centre, diagonal_px)?);
         }
     }
+    if points.iter().all(Option::is_none) {
+        let found = edges.along.iter().map(Vec::len).max().unwrap_or(0);
+        return Err(Problem::FewEdges { found });
+    }
     let start = match stated {
         Some(stated) => stated.focal_px,
         None => start_from_points(&points, diagonal_px)?,

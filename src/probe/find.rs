@@ -30,6 +30,8 @@ const FINE: usize = 240;
 const MIN_CONTRAST: f64 = 0.15;
 /// How far an edge may lie from the outline, px.
 const EDGE_REACH_PX: f64 = 1.5;
+/// Share of the outline that must show an edge: a mirror ball fades into its surroundings, but not all around.
+const MIN_SUPPORT: f64 = 0.25;
 /// Contrast beyond which an edge counts no more: reflected lamps must not outvote the rest of the outline.
 const CAP: f64 = 0.3;
 
@@ -95,6 +97,9 @@ pub fn find(
         return Err(Problem::TooSmall { diameter_px, needed_px: MIN_DIAMETER_PX });
     }
     let (outline_rms_px, outline_support) = view.edges(at);
+    if outline_support < MIN_SUPPORT {
+        return Err(Problem::NoOutline { support: outline_support, needed: MIN_SUPPORT });
+    }
     Ok(ProbeFit {
         camera: camera.clone(),
         centre: view.centre(at),

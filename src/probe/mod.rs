@@ -84,6 +84,17 @@ pub enum Problem {
         /// Share of the outline outside the picture.
         outside: f64,
     },
+    /// Something that looks like a mirror image, without a ball around it.
+    #[error(
+        "the mirror ball was not found: at the best place an edge runs along {:.0} % of its outline, {:.0} % are needed",
+        100.0 * support, 100.0 * needed
+    )]
+    NoOutline {
+        /// Share of the outline along which there is an edge.
+        support: f64,
+        /// Share that is needed.
+        needed: f64,
+    },
     /// The ball is too small in the picture.
     #[error("the mirror ball is {diameter_px:.1} px across, at least {needed_px} px are needed")]
     TooSmall {
@@ -153,7 +164,7 @@ pub enum Problem {
 impl crate::error::Problem for Problem {
     fn hint(&self) -> String {
         match self {
-            Self::NotFound { .. } => {
+            Self::NotFound { .. } | Self::NoOutline { .. } => {
                 "check probe.radius_m and probe.support_m, and that grid and ball stand on the same surface"
             }
             Self::NoPicture => "name its photographs in pipeline.toml under [ingest.roles] as `probe`",

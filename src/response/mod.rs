@@ -60,6 +60,10 @@ pub struct Quality {
 impl JsonArtefact for Response {
     const FORMAT: &'static str = "insitu-response";
     const VERSION: u32 = 1;
+
+    fn check(&self) -> Result<(), String> {
+        Self::check(self).map_err(|e| e.to_string())
+    }
 }
 
 impl Curve {

@@ -31,7 +31,9 @@ pub enum Spoil {
 impl Spoil {
     pub fn apply(&self, folder: &Path) {
         match *self {
-            Self::Set(text) => write(folder.join("case.toml"), format!("extends = \"pipeline.toml\"\n{text}")),
+            Self::Set(text) => {
+                write(folder.join("case.toml"), format!("extends = \"pipeline.toml\"\n{text}"))
+            }
             Self::Write(file, text) => write(folder.join(file), text),
             Self::Remove(file) => remove(&folder.join(file)),
             Self::Cut(file, per_cent) => {
@@ -44,9 +46,9 @@ impl Spoil {
                 write(folder.join(file), text.replacen(old, new, 1));
             }
             Self::Copy(from, to) => write(folder.join(to), read(&folder.join(from))),
-            Self::Flat(start, code) => redraw(folder, start, |old| {
-                RgbImage::from_pixel(old.width(), old.height(), Rgb([code; 3]))
-            }),
+            Self::Flat(start, code) => {
+                redraw(folder, start, |old| RgbImage::from_pixel(old.width(), old.height(), Rgb([code; 3])))
+            }
             Self::Restore(file, width, height) => {
                 let image = image::open(folder.join(file)).expect("a photograph").into_rgb8();
                 let image = image::imageops::crop_imm(&image, 0, 0, width, height).to_image();
@@ -122,9 +124,8 @@ fn turned(old: &RgbImage, angle: f64) -> RgbImage {
         let (u, v) = ((f64::from(x) + 0.5 - cx) / f, (f64::from(y) + 0.5 - cy) / f);
         let (dx, dz) = (u * angle.cos() - angle.sin(), u * angle.sin() + angle.cos());
         let (px, py) = (f * dx / dz + cx - 0.5, f * v / dz + cy - 0.5);
-        match image::imageops::interpolate_bilinear(old, px as f32, py as f32) {
-            Some(pixel) if dz > 0.0 => pixel,
-            _ => Rgb([60; 3]),
-        }
+        // Beyond the border its last pixels are repeated.
+        let clamped = |v: f64, n: u32| v.clamp(0.0, f64::from(n - 1)).round() as u32;
+        *old.get_pixel(clamped(px, old.width()), clamped(py, old.height()))
     })
 }
