@@ -31,7 +31,9 @@ pub enum Spoil {
 impl Spoil {
     pub fn apply(&self, folder: &Path) {
         match *self {
-            Self::Set(text) => write(folder.join("case.toml"), format!("extends = \"pipeline.toml\"\n{text}")),
+            Self::Set(text) => {
+                write(folder.join("case.toml"), format!("extends = \"pipeline.toml\"\n{text}"))
+            }
             Self::Write(file, text) => write(folder.join(file), text),
             Self::Remove(file) => remove(&folder.join(file)),
             Self::Cut(file, per_cent) => {
@@ -44,9 +46,9 @@ impl Spoil {
                 write(folder.join(file), text.replacen(old, new, 1));
             }
             Self::Copy(from, to) => write(folder.join(to), read(&folder.join(from))),
-            Self::Flat(start, code) => redraw(folder, start, |old| {
-                RgbImage::from_pixel(old.width(), old.height(), Rgb([code; 3]))
-            }),
+            Self::Flat(start, code) => {
+                redraw(folder, start, |old| RgbImage::from_pixel(old.width(), old.height(), Rgb([code; 3])))
+            }
             Self::Restore(file, width, height) => {
                 let image = image::open(folder.join(file)).expect("a photograph").into_rgb8();
                 let image = image::imageops::crop_imm(&image, 0, 0, width, height).to_image();
