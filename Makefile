@@ -2,7 +2,7 @@
 
 # OpenCV and its bindings' needs; Mesa's lavapipe is a Vulkan device for machines without a GPU.
 PACKAGES := libopencv-dev libopencv-contrib-dev clang libclang-dev pkg-config mesa-vulkan-drivers
-SUDO := $(shell [ "$$(id -u)" = 0 ] || echo sudo)
+SUDO := $(shell [ "$$(id -u)" = 0 ] || echo sudo -E)
 INSITU := target/release/insitu
 
 .PHONY: demo test bench validate build setup
@@ -31,6 +31,6 @@ setup:
 		command -v apt-get >/dev/null || { echo "please install:" $$missing; exit 1; }; \
 		echo "installing:" $$missing; \
 		$(SUDO) apt-get update -q && \
-		DEBIAN_FRONTEND=noninteractive $(SUDO) -E apt-get install -y -q --no-install-recommends $$missing; \
+		DEBIAN_FRONTEND=noninteractive $(SUDO) apt-get install -y -q --no-install-recommends $$missing; \
 	fi
 	@command -v cargo >/dev/null || { echo "please install Rust: https://rustup.rs"; exit 1; }

@@ -123,33 +123,3 @@ fn what_cannot_be_solved_is_refused() {
     broken.mesh.patches[3].radiance[1] = f32::NAN;
     assert!(refuse(&broken, &all()).starts_with("patch 3 has radiance"));
 }
-
-/// Not a test: `cargo test --release --test transfer -- --ignored --nocapture` prints times.
-#[test]
-#[ignore]
-fn times() {
-    let clock = std::time::Instant::now();
-    let stage = room::stage(0.2, 800, 0.7);
-    let (sources, vertices) = stage.transfers.transfer.dim();
-    println!(
-        "{} patches, {vertices} receiver vertices, {sources} sources: {:?}",
-        stage.light.mesh.patches.len(),
-        clock.elapsed()
-    );
-    let object = room::blob(Vec3::new(0.0, 0.17, 0.0), 0.15, 0.15, 32);
-    for max_sources in [64, 0] {
-        let settings = insitu::config::Render { max_sources, ..Default::default() };
-        let cpu = insitu::shadow::RadianceTransfer::prepare(&stage.scene(), &settings).unwrap();
-        for _ in 0..2 {
-            let clock = std::time::Instant::now();
-            let maps = cpu.removed_radiance(&object).unwrap().shadow_maps;
-            println!("CPU, {maps} maps: {:?}", clock.elapsed());
-        }
-        let Ok(gpu) = insitu::gpu::RadianceTransfer::prepare(&stage.scene(), &settings) else { continue };
-        for _ in 0..2 {
-            let clock = std::time::Instant::now();
-            let maps = gpu.removed_radiance(&object).unwrap().shadow_maps;
-            println!("{}, {maps} maps: {:?}", gpu.adapter(), clock.elapsed());
-        }
-    }
-}

@@ -155,7 +155,6 @@ fn check(cases: &[Case]) {
     assert!(wrong.is_empty(), "\n{wrong}");
 }
 
-// CASES
 #[test]
 fn settings_are_shown_with_line_and_column() {
     check(&[
@@ -1418,9 +1417,13 @@ fn what_can_be_done_in_spite_of_a_defect_is_done_with_a_warning() {
         Set("[render]\nobject = \"o.obj\"\nantialiasing = 1\nshading_rays = 16\nposition_m = [0.1, 0, 0]\n");
     // Three triangles on one edge, and one turned the other way.
     let fan = "v 0 0 0\nv 0 0 0.1\nv 0.1 0 0\nv 0 0.1 0\nv -0.1 0 0\nf 1 2 3\nf 1 2 4\nf 1 2 5\n";
-    warned(&[Write("o.obj", fan), OBJECT], "render", "");
+    warned(
+        &[Write("o.obj", fan), OBJECT],
+        "render",
+        "1 edges join more than two triangles; the mesh is used as it is",
+    );
     let sliver = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nv 0 0 0.1\nf 1 2 3\nf 1 2 4\nf 1 1 2\nf 1 3 4\n";
-    warned(&[Write("o.obj", sliver), OBJECT], "render", "warning: ");
+    warned(&[Write("o.obj", sliver), OBJECT], "render", "1 of 4 triangles have no area and were left out");
     let equal = "[ingest]\nexposure = [{ file = \"brackets_00.jpg\", time_s = 0.1 }, { file = \"brackets_01.jpg\", time_s = 0.1 }]\n";
     warned(
         &[Set(equal)],
