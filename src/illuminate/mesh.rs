@@ -34,7 +34,8 @@ impl FaceMesh {
     pub fn new(face: &Face) -> Option<Self> {
         let area_vector = face.area_vector();
         let extent = face.vertices.iter().map(|v| (v - face.vertices[0]).norm()).fold(0.0, f64::max);
-        if !(area_vector.norm() > 1e-6 * extent * extent) {
+        let area = area_vector.norm();
+        if area.is_nan() || area <= 1e-6 * extent * extent {
             return None;
         }
         let normal = area_vector.normalize();
@@ -165,7 +166,7 @@ impl FaceMesh {
 
     /// Triangles with area; a side that is not along an axis may have rounded midpoints just off it.
     fn triangles(&self) -> impl Iterator<Item = Corners> + '_ {
-        self.triangulation.inner_faces().map(|f| f.positions()).filter(|t| has_area(t))
+        self.triangulation.inner_faces().map(|f| f.positions()).filter(has_area)
     }
 
     /// Appends the patches of this face.
