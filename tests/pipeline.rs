@@ -95,7 +95,7 @@ fn a_killed_stage_leaves_the_earlier_result() {
         assert!(run.try_wait().unwrap().is_none(), "the stage ended before it could be killed");
     }
     // The whole group: driver and stage.
-    Command::new("kill").args(["-9", &format!("-{}", run.id())]).status().unwrap();
+    Command::new("kill").args(["-9", "--", &format!("-{}", run.id())]).status().unwrap();
     run.wait().unwrap();
 
     assert!(part.exists(), "the killed stage had begun to write");
