@@ -33,8 +33,7 @@ pub fn world_from_object(settings: &config::Render) -> Result<glam::Affine3A, Pr
 }
 
 /// Refuses an object that cannot be seen or stands outside the scene; warns of one that sinks into its support.
-/// `scene` holds the corners of the scene model's faces, `scene_bvh` its triangles; `nothing_drawn` tells that no
-/// ray of the plate met the object, seen or hidden.
+/// `scene` holds the corners of the scene model's faces, `scene_bvh` its triangles.
 pub fn check_placement(
     object: &Object,
     camera: &Camera,
