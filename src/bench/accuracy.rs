@@ -6,12 +6,12 @@ use crate::config::{Render, ShadowMethod};
 use crate::error::{Context as _, Result};
 use crate::image::{RadianceImage, luminance};
 use crate::printer::Printer;
-use crate::shadow::{self, Occluder, RadianceTransfer, Removed};
+use crate::shadow::{self, Caster, Occluder, RadianceTransfer, Removed};
 use crate::stage::Workspace;
 use std::time::Instant;
 
-/// Numbers of the strongest sources; 0 for all.
-const SOURCES: [usize; 4] = [16, 64, 256, 0];
+/// Numbers of passes; 0 for one a source.
+const PASSES: [usize; 6] = [10, 20, 50, 100, 200, 0];
 /// Rays per pixel of the ray-traced rows, which use all sources; the references have as many as the settings say.
 const RAYS: [usize; 2] = [16, 64];
 
@@ -22,63 +22,56 @@ struct Row {
     ms: Vec<f64>,
 }
 
-/// Prints a row for each setting: its error against a reference of the same sources (what the maps cost), and against one
-/// of all sources (what leaving out the faint ones costs besides).
+/// Prints a row for each setting: its error against the reference, and the error that the method expects of itself.
 pub(super) fn print(statics: &Static, workspace: &Workspace, frames: usize, printer: &Printer) -> Result<()> {
     let occluder = statics.occluder();
     let settings = &workspace.pipeline.render;
-    let all = reference(statics, &occluder, settings, 0)?;
+    // Another seed than any row's.
+    let reference = Render { seed: settings.seed ^ 0x5eed, ..settings.clone() };
+    let reference =
+        shadow::raytraced(&statics.scene(), &occluder, &reference).doing("tracing the reference")?;
     printer.data(&format!(
-        "\nspeed against error: reference raytraced with {} rays per pixel, its noise beside it; cpu, \
-         {frames} frames",
-        settings.rays
+        "\nspeed against error: reference raytraced with {} rays per pixel, noise {:.4}; cpu, {frames} frames",
+        settings.rays,
+        reference.noise.unwrap_or(0.0)
     ));
     printer.data(&format!(
-        "{:<24}{:>7}{:>9}{:>9}{:>9}{:>9}{:>8}{:>8}{:>11}{:>8}",
-        "method", "maps", "time", "min", "max", "error", "bias", "noise", "error(all)", "bias"
+        "{:<24}{:>7}{:>9}{:>9}{:>9}{:>9}{:>10}{:>8}",
+        "method", "maps", "time", "min", "max", "error", "expected", "bias"
     ));
-    for sources in SOURCES.into_iter().filter(|&n| n < statics.transfers.sources.len()) {
-        let row = radiance_transfer(statics, &occluder, settings, sources, frames)?;
-        let same = if sources == 0 { None } else { Some(reference(statics, &occluder, settings, sources)?) };
-        printer.data(&line(row, statics, same.as_ref().unwrap_or(&all), &all));
+    for passes in PASSES {
+        let row = radiance_transfer(statics, &occluder, settings, passes, frames)?;
+        printer.data(&line(row, statics, &reference));
     }
     for rays in RAYS.into_iter().filter(|&n| n < settings.rays) {
-        printer.data(&line(raytraced(statics, &occluder, settings, rays)?, statics, &all, &all));
+        printer.data(&line(raytraced(statics, &occluder, settings, rays)?, statics, &reference));
     }
     Ok(())
 }
 
-fn line(row: Row, statics: &Static, same: &Removed, all: &Removed) -> String {
+fn line(row: Row, statics: &Static, reference: &Removed) -> String {
     let Row { name, removed, mut ms } = row;
     let [time, least, largest] = spread(&mut ms);
-    let (error, bias) = errors(&statics.plate, &removed.epsilon, &same.epsilon);
-    let (error_all, bias_all) = errors(&statics.plate, &removed.epsilon, &all.epsilon);
-    let noise = same.noise.unwrap_or(0.0);
+    let (error, bias) = errors(&statics.plate, &removed.epsilon, &reference.epsilon);
+    let expected = removed.expected_error.or(removed.noise).unwrap_or(0.0);
     format!(
-        "{name:<24}{:>7}{time:>9.1}{least:>9.1}{largest:>9.1}{error:>9.4}{bias:>+8.4}{noise:>8.4}{error_all:>11.4}\
-         {bias_all:>+8.4}",
+        "{name:<24}{:>7}{time:>9.1}{least:>9.1}{largest:>9.1}{error:>9.4}{expected:>10.4}{bias:>+8.4}",
         removed.shadow_maps
     )
-}
-
-/// By rays from the sources asked for; another seed than any row's.
-fn reference(statics: &Static, occluder: &Occluder, settings: &Render, sources: usize) -> Result<Removed> {
-    let seed = settings.seed ^ 0x5eed;
-    let settings = Render { max_sources: sources, seed, ..settings.clone() };
-    shadow::raytraced(&statics.scene(), occluder, &settings).doing("tracing the reference")
 }
 
 fn radiance_transfer(
     statics: &Static,
     occluder: &Occluder,
     settings: &Render,
-    sources: usize,
+    passes: usize,
     frames: usize,
 ) -> Result<Row> {
-    let settings = Render { max_sources: sources, ..settings.clone() };
+    let settings = Render { passes, ..settings.clone() };
     let method =
         RadianceTransfer::prepare(&statics.scene(), &settings).doing("preparing the shadow method")?;
-    let frame = || method.removed_radiance(occluder).doing("finding the shadow");
+    let caster = Caster::new(occluder, settings.caster_triangles).occluder;
+    let frame = || method.removed_radiance(&caster).doing("finding the shadow");
     let removed = frame()?;
     let mut ms = Vec::with_capacity(frames);
     for _ in 0..frames {
@@ -86,11 +79,11 @@ fn radiance_transfer(
         std::hint::black_box(frame()?);
         ms.push(started.elapsed().as_secs_f64() * 1e3);
     }
-    Ok(Row { name: format!("radiance-transfer {}", removed.sources_used), removed, ms })
+    Ok(Row { name: format!("radiance-transfer {}", removed.passes), removed, ms })
 }
 
 fn raytraced(statics: &Static, occluder: &Occluder, settings: &Render, rays: usize) -> Result<Row> {
-    let settings = Render { method: ShadowMethod::Raytraced, max_sources: 0, rays, ..settings.clone() };
+    let settings = Render { method: ShadowMethod::Raytraced, rays, ..settings.clone() };
     let started = Instant::now();
     let removed = shadow::raytraced(&statics.scene(), occluder, &settings).doing("tracing rays")?;
     let ms = vec![started.elapsed().as_secs_f64() * 1e3];

@@ -3,27 +3,38 @@
 //! All methods answer with an image of ε. L_xj is what pixel x shows of source j: the plate's radiance times the
 //! share that j has of the irradiance at x, so the plate's own reflectance is kept and ε never exceeds the plate.
 
+mod caster;
+mod importance;
+mod lookup;
+mod origins;
+mod plan;
 mod projection;
 mod radiance_transfer;
 mod raster;
 mod raytraced;
 mod receivers;
+mod representatives;
+mod session;
 mod tiles;
 
-use crate::config::{Backend, Render, ShadowMethod};
+use crate::config::{Render, ShadowMethod};
 use crate::illuminate::patch::LightModel;
 use crate::image::RadianceImage;
 use crate::transfer::{SourceKind, Transfers};
 use crate::{error, gpu};
 use glam::Vec3;
 
-pub use projection::{Bounds, MapPlan, Projection, ShadowOrigin, plan};
+pub use caster::Caster;
+pub(crate) use plan::{Outlook, Plan};
+pub use projection::{Bounds, MapPlan, OFFSETS, Projection, ShadowOrigin};
 pub use radiance_transfer::RadianceTransfer;
+pub(crate) use radiance_transfer::batches;
 #[cfg(test)]
 pub(crate) use raster::{DEPTH_BIAS, STEEPEST};
 pub use raster::{ShadowMap, rasterise};
 pub use raytraced::raytraced;
 pub use receivers::{Receiver, Receivers};
+pub use session::{Frame, Session};
 pub(crate) use tiles::Pixel;
 
 /// The synthetic object as light sees it, in the world.
@@ -57,8 +68,12 @@ pub struct Removed {
     pub noise: Option<f64>,
     /// Number of sources whose shadow was sought.
     pub sources_used: usize,
-    /// Shadow maps drawn; several for a source that is large as seen from the object.
+    /// Clusters into which they were gathered; 0 for rays.
+    pub passes: usize,
+    /// Hard shadows of which those of the clusters are made.
     pub shadow_maps: usize,
+    /// Relative shadow error to expect of the clusters and maps.
+    pub expected_error: Option<f64>,
     /// Share of the receivers' light whose shadow was not sought.
     pub left_out_share: f64,
 }
@@ -116,17 +131,17 @@ impl error::Problem for Problem {
     }
 }
 
-/// ε by the method and on the back end that the settings name.
+/// ε of one object by the method and on the back end that the settings name. Shadow maps show a simplified object.
 pub fn removed_radiance(scene: &Scene, occluder: &Occluder, settings: &Render) -> Result<Removed, Problem> {
-    match (settings.method, settings.backend) {
-        (ShadowMethod::Raytraced, _) => raytraced(scene, occluder, settings),
-        (ShadowMethod::RadianceTransfer, Backend::Cpu) => {
-            RadianceTransfer::prepare(scene, settings)?.removed_radiance(occluder)
+    occluder.check()?;
+    let mut session = Session::prepare(scene, settings)?;
+    let frame = match settings.method {
+        ShadowMethod::Raytraced => session.frame(occluder),
+        ShadowMethod::RadianceTransfer => {
+            session.frame(&Caster::new(occluder, settings.caster_triangles).occluder)
         }
-        (ShadowMethod::RadianceTransfer, Backend::Gpu) => {
-            gpu::RadianceTransfer::prepare(scene, settings)?.removed_radiance(occluder)
-        }
-    }
+    };
+    Ok(frame?.removed)
 }
 
 impl Occluder {
@@ -182,17 +197,5 @@ impl Scene<'_> {
             }
         }
         Ok(())
-    }
-
-    /// How many of the source set the settings ask for.
-    pub(crate) fn source_count(&self, settings: &Render) -> usize {
-        let all = self.transfers.sources.len();
-        if settings.max_sources == 0 { all } else { settings.max_sources.min(all) }
-    }
-
-    /// Share of the receivers' light that does not come from the `count` strongest sources.
-    pub(crate) fn left_out_share(&self, count: usize) -> f64 {
-        let rest: f64 = self.transfers.sources[count..].iter().map(|s| s.power_share).sum();
-        rest + self.transfers.left_out_share
     }
 }
