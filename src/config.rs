@@ -239,8 +239,8 @@ settings! {
     Irradiance {
         /// Distance of grid points, m.
         spacing_m: f64 = 0.25,
-        /// Half the side of the region around the object that is covered, m; cut to the room.
-        reach_m: f64 = 1.0,
+        /// Half the side of the region around the grid that is covered, m; cut to the room.
+        reach_m: f64 = 2.0,
         /// Rays per grid point.
         rays: usize = 4096,
     }
@@ -249,7 +249,7 @@ settings! {
 settings! {
     /// Radiance transfers (gibson §5).
     Transfer {
-        /// Share of all patches' power that the source set holds.
+        /// Share of all power that the source set holds; 0.7 is the paper's.
         source_share: f64 = 0.7,
         /// Visibility rays for each pair of source and receiver vertex.
         rays: usize = 8,

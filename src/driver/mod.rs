@@ -68,7 +68,7 @@ enum Command {
         /// Folder of the photographs; the settings are written into it.
         folder: PathBuf,
     },
-    /// Time each stage, and a frame with the object moved and all else reused.
+    /// Time each stage and a frame with the object moved, and set speed against error.
     Bench {
         /// Settings file.
         #[arg(default_value = "pipeline.toml")]
