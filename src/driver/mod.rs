@@ -1,5 +1,6 @@
 //! The program `insitu`: runs stages in order, says what is fresh, validates captures in batch, starts new ones.
 
+mod guess;
 mod new;
 pub(crate) mod run;
 mod status;
