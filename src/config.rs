@@ -1,13 +1,12 @@
 //! `pipeline.toml`: one table a stage, every key with its unit in its name and a default that works.
 
 mod ranges;
+mod read;
 mod text;
 
-use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
-use text::{line_and_column, text_of};
+use std::path::PathBuf;
 pub use text::{parse, refuse_wild_numbers};
 
 macro_rules! settings {
@@ -240,8 +239,8 @@ settings! {
     Irradiance {
         /// Distance of grid points, m.
         spacing_m: f64 = 0.25,
-        /// Half the side of the region around the object that is covered, m; cut to the room.
-        reach_m: f64 = 1.0,
+        /// Half the side of the region around the grid that is covered, m; cut to the room.
+        reach_m: f64 = 2.0,
         /// Rays per grid point.
         rays: usize = 4096,
     }
@@ -250,7 +249,7 @@ settings! {
 settings! {
     /// Radiance transfers (gibson §5).
     Transfer {
-        /// Share of all patches' power that the source set holds.
+        /// Share of all power that the source set holds; 0.7 is the paper's.
         source_share: f64 = 0.7,
         /// Visibility rays for each pair of source and receiver vertex.
         rays: usize = 8,
@@ -350,93 +349,5 @@ settings! {
         truth: Option<PathBuf> = None,
         /// Bounds that `insitu validate` holds the errors to.
         bounds: BTreeMap<String, f64> = BTreeMap::new(),
-    }
-}
-
-impl Pipeline {
-    /// Reads a settings file; mistakes are shown with line and column, unknown keys with the nearest known one.
-    pub fn read(path: &Path) -> Result<Self> {
-        let text = text_of(path, "name a settings file, or write one with `insitu new FOLDER`")?;
-        let own: Self = parse(&text, path)?;
-        let Some(base) = &own.extends else {
-            own.check(&[(path, &text)])?;
-            return Ok(own);
-        };
-        let base_path = path.parent().unwrap_or(Path::new("")).join(base);
-        let base_text = text_of(&base_path, &format!("check `extends` in {}", path.display()))?;
-        if parse::<Self>(&base_text, &base_path)?.extends.is_some() {
-            return Err(Error::Settings {
-                file: base_path,
-                line: 0,
-                column: 0,
-                problem: "is extended by another file and extends one itself".into(),
-                hint: "keep to one level of `extends`".into(),
-            });
-        }
-        let mut merged: toml::Table = parse(&base_text, &base_path)?;
-        overlay(&mut merged, parse(&text, path)?);
-        let whole: Self = merged
-            .try_into()
-            .map_err(|e| Error::Bug(format!("merging {} and {}: {e}", path.display(), base.display())))?;
-        whole.check(&[(path, &text), (&base_path, &base_text)])?;
-        Ok(whole)
-    }
-
-    /// Refuses numbers that make no sense, and shows them in the first of the files that gives them.
-    fn check(&self, files: &[(&Path, &str)]) -> Result<()> {
-        let Some(outside) = ranges::check(self) else { return Ok(()) };
-        let found = files.iter().find_map(|(path, text)| {
-            ranges::place(text, outside.path).map(|at| (*path, line_and_column(text, at)))
-        });
-        let (file, (line, column)) = found.unwrap_or((files[0].0, (0, 0)));
-        let (problem, hint) = (outside.problem, outside.hint);
-        Err(Error::Settings { file: file.to_path_buf(), line, column, problem, hint })
-    }
-
-    /// The table of a stage, as it enters the stage's digest.
-    pub fn table(&self, stage: &str) -> serde_json::Value {
-        serde_json::to_value(self).map(|v| v[stage].clone()).unwrap_or_default()
-    }
-}
-
-/// Puts the values of `upper` over those of `lower`, table by table.
-fn overlay(lower: &mut toml::Table, upper: toml::Table) {
-    for (key, value) in upper {
-        match (lower.get_mut(&key), value) {
-            (Some(toml::Value::Table(below)), toml::Value::Table(above)) => overlay(below, above),
-            (_, value) => {
-                lower.insert(key, value);
-            }
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn unknown_keys_are_located_and_the_nearest_is_named() {
-        let text = "work = \"w\"\n\n[transfer]\nrays = 4\n  sorce_share = 0.5\n";
-        let e = parse::<Pipeline>(text, Path::new("pipeline.toml")).unwrap_err();
-        assert!(e.to_string().starts_with("pipeline.toml:5:3: unknown field `sorce_share`"), "{e}");
-        assert_eq!(e.hint(), "did you mean `source_share`?");
-        assert_eq!(e.exit_code(), 2);
-    }
-
-    #[test]
-    fn an_extending_file_changes_only_what_it_names() {
-        let dir = tempfile::tempdir().unwrap();
-        std::fs::write(dir.path().join("a.toml"), "[render]\nscale = 2.0\nrotation_deg = 5.0\n").unwrap();
-        std::fs::write(dir.path().join("b.toml"), "extends = \"a.toml\"\n[render]\nscale = 3.0\n").unwrap();
-        let pipeline = Pipeline::read(&dir.path().join("b.toml")).unwrap();
-        assert_eq!((pipeline.render.scale, pipeline.render.rotation_deg), (3.0, 5.0));
-    }
-
-    #[test]
-    fn unknown_roles_are_named() {
-        let text = "[ingest.roles]\nplaet = [\"a.jpg\"]\n";
-        let e = parse::<Pipeline>(text, Path::new("p.toml")).unwrap_err();
-        assert_eq!(e.hint(), "did you mean `plate`?", "{e}");
     }
 }

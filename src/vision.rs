@@ -10,7 +10,7 @@ use opencv::prelude::{MatTraitConst, MatTraitConstManual, VectorToVec};
 use opencv::{calib3d, imgproc};
 
 /// OpenCV failed.
-#[derive(Debug, thiserror::Error)]
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Problem {
     /// Its own message.
     #[error("OpenCV: {0}")]

@@ -3,7 +3,7 @@
 use crate::{least_squares, vision};
 
 /// Why lens or pose cannot be found.
-#[derive(Debug, thiserror::Error)]
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Problem {
     /// No grid.
     #[error("no grid of {}×{} inner corners is seen whole", inner[0], inner[1])]

@@ -1,5 +1,6 @@
 //! The program `insitu`: runs stages in order, says what is fresh, validates captures in batch, starts new ones.
 
+mod guess;
 mod new;
 pub(crate) mod run;
 mod status;
@@ -68,7 +69,7 @@ enum Command {
         /// Folder of the photographs; the settings are written into it.
         folder: PathBuf,
     },
-    /// Time each stage, and a frame with the object moved and all else reused.
+    /// Time each stage and a frame with the object moved, and set speed against error.
     Bench {
         /// Settings file.
         #[arg(default_value = "pipeline.toml")]

@@ -1,12 +1,13 @@
 //! `insitu new`: a commented `pipeline.toml` for a folder of photographs. The worked example is the template; values are
 //! taken from the photographs' names and EXIF, and from a `capture.json` where the folder has one.
 
+use super::guess;
 use crate::config::{Pipeline, Role};
 use crate::error::{Error, FileContext, Result};
 use crate::exposure::{self, Header};
 use crate::printer::Printer;
 use serde::Deserialize;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use toml_edit::{Array, DocumentMut, Item, Value, value};
 
@@ -138,14 +139,13 @@ pub fn new(folder: &Path, printer: &Printer) -> Result<()> {
         headers.insert(name.clone(), Header::read(&folder.join(name))?);
     }
     let named = !roles.is_empty();
-    let roles = if named { roles } else { guess_roles(&headers) };
+    let roles = if named { roles } else { guess::roles(&headers) };
     let mut document = describe(sheet.as_ref(), &roles, ".")?;
     if sheet.is_none() {
         fit_to_headers(&mut document, &roles, &headers);
     }
+    open_questions(named, &roles, &headers).iter().for_each(|question| printer.warn(question));
     if !named {
-        printer
-            .warn("the names tell no roles: they are guessed from sizes and exposures, check [ingest.roles]");
         let list = headers.iter().map(|(name, h)| {
             let time = h.time_s.map_or("no exposure".into(), |t| format!("{t} s"));
             format!("# {name}: {} x {} px, {time}\n", h.width_px, h.height_px)
@@ -153,11 +153,6 @@ pub fn new(folder: &Path, printer: &Printer) -> Result<()> {
         let text = format!("\n# Guessed from sizes and exposures, check:\n{}", list.collect::<String>());
         if let Some(table) = document["ingest"]["roles"].as_table_mut() {
             table.decor_mut().set_prefix(text);
-        }
-    }
-    for (name, header) in &headers {
-        if header.time_s.is_none() && roles.values().flatten().any(|r| r == name) {
-            printer.warn(&format!("{name} has no exposure in its EXIF: write it under [ingest] exposure"));
         }
     }
     document.decor_mut().set_prefix(
@@ -176,39 +171,38 @@ pub fn new(folder: &Path, printer: &Printer) -> Result<()> {
     Ok(())
 }
 
-/// Roles from sizes and exposures: of the largest photographs, the longest run of rising or falling exposures is a series.
-/// Beside it there is the empty scene, and the series shows the ball; or else its middle is the plate.
-fn guess_roles(headers: &BTreeMap<String, Header>) -> BTreeMap<Role, Vec<String>> {
-    let area = |h: &Header| u64::from(h.width_px) * u64::from(h.height_px);
-    let largest = headers.values().map(area).max().unwrap_or(0);
-    let files: Vec<(&String, Option<f64>)> =
-        headers.iter().filter(|(_, h)| area(h) == largest).map(|(n, h)| (n, h.time_s)).collect();
-    let names =
-        |range: std::ops::Range<usize>| files[range].iter().map(|(n, _)| n.to_string()).collect::<Vec<_>>();
-    let mut series = 0..0;
-    for rising in [true, false] {
-        let mut start = 0;
-        for i in 1..=files.len() {
-            let on = i < files.len()
-                && matches!((files[i - 1].1, files[i].1), (Some(a), Some(b)) if a != b && (b > a) == rising);
-            if !on {
-                if i - start >= 2 && i - start > series.len() {
-                    series = start..i;
-                }
-                start = i;
-            }
-        }
+/// What keeps these photographs from being used as they are.
+fn open_questions(
+    named: bool,
+    roles: &BTreeMap<Role, Vec<String>>,
+    headers: &BTreeMap<String, Header>,
+) -> Vec<String> {
+    let mut questions = Vec::new();
+    if !named {
+        questions.push(
+            "the names tell no roles: they are guessed from sizes and exposures, check [ingest.roles]".into(),
+        );
     }
-    let beside = (0..files.len()).find(|i| !series.contains(i));
-    let plate = beside.unwrap_or(series.start + series.len() / 2);
-    let mut roles = BTreeMap::new();
-    if plate < files.len() {
-        roles.insert(Role::Plate, names(plate..plate + 1));
+    if !roles.contains_key(&Role::Probe) {
+        questions.push(
+            "no series of exposures of the mirror ball was found: give them, all of one size, the role `probe`".into(),
+        );
     }
-    if !series.is_empty() {
-        roles.insert(if beside.is_some() { Role::Probe } else { Role::Brackets }, names(series));
+    // A linear picture is in the plate's units without one, and one photograph alone sets the unit.
+    let counted: BTreeSet<&String> = [Role::Plate, Role::Brackets, Role::Probe]
+        .iter()
+        .filter_map(|role| roles.get(role))
+        .flatten()
+        .filter(|name| headers.get(*name).is_some_and(|h| !h.linear))
+        .collect();
+    let unknown = counted.iter().filter(|name| headers.get(**name).is_some_and(|h| h.time_s.is_none()));
+    if counted.len() > 1 {
+        questions.extend(
+            unknown
+                .map(|name| format!("{name} has no exposure in its EXIF: write it under [ingest] exposure")),
+        );
     }
-    roles
+    questions
 }
 
 /// Width of the sensor from EXIF's two focal lengths; without photographs of a grid, the plate's place is the probe's and

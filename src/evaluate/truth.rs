@@ -3,6 +3,7 @@
 use super::compare::{Comparison, Ours};
 use super::errors;
 use super::figures::Measured;
+use crate::calibrate::world_from_grid;
 use crate::camera::Camera;
 use crate::image::RadianceImage;
 use nalgebra::{Matrix4, Point3, Vector4};
@@ -79,7 +80,7 @@ impl Truth {
         // Xc = R Xw + t, so the centre is −Rᵀ t.
         let centre = std::array::from_fn(|k| -(r[k] * t[0] + r[3 + k] * t[1] + r[6 + k] * t[2]));
         let truth = self.in_grid(centre)?;
-        let distance = (grid_from_world(&camera.centre()) - truth).norm();
+        let distance = (world_from_grid().inverse_transform_point(&camera.centre()) - truth).norm();
         out.put("camera_position_error_percent", 100.0 * distance / truth.coords.norm());
         Ok(())
     }
@@ -87,7 +88,10 @@ impl Truth {
     /// Place of the mirror ball.
     pub fn judge_ball(&self, centre: &Point3<f64>, out: &mut Measured) -> Result<(), Problem> {
         let truth = self.in_grid(Self::numbers(&self.value["sphere"]["centre"], "sphere.centre")?)?;
-        out.put("ball_centre_error_mm", 1e3 * (grid_from_world(centre) - truth).norm());
+        out.put(
+            "ball_centre_error_mm",
+            1e3 * (world_from_grid().inverse_transform_point(centre) - truth).norm(),
+        );
         Ok(())
     }
 
@@ -164,11 +168,6 @@ impl Truth {
     pub fn difference_noise(&self, reference: &str) -> Option<f64> {
         self.value["truth_noise"][reference]["difference_rmse_over_mean_where_changed_5pct"].as_f64()
     }
-}
-
-/// Our world to the grid's frame: (x, y, z) → (x, −z, y).
-fn grid_from_world(p: &Point3<f64>) -> Point3<f64> {
-    Point3::new(p.x, -p.z, p.y)
 }
 
 #[cfg(test)]

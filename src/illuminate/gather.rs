@@ -3,6 +3,7 @@
 
 use super::patch::{DistantSource, PatchMesh};
 use crate::image::luminance;
+use crate::transfer::form_factor;
 use crate::visibility::Bvh;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -100,11 +101,8 @@ impl Gather {
 /// Irradiance at a point from one patch: Lambert's formula where its middle can be seen.
 fn from_patch(mesh: &PatchMesh, bvh: &Bvh, p: Vec3, normal: Vec3, j: usize) -> [f32; 3] {
     let to = mesh.centroid(j) - p;
-    if mesh.normal(j).dot(to) >= 0.0 {
-        return [0.0; 3];
-    }
-    let factor = form_factor(p, normal, &mesh.corners(j));
-    if factor <= 0.0 || bvh.any_hit(p, to, 0.0, 1.0 - 1e-3) {
+    let factor = form_factor::polygon(p, normal, &mesh.corners(j));
+    if factor == 0.0 || bvh.any_hit(p, to, 0.0, 1.0 - 1e-3) {
         return [0.0; 3];
     }
     mesh.patches[j].radiance.map(|l| l * factor * PI)
@@ -134,38 +132,6 @@ fn strong_patches(mesh: &PatchMesh, known: impl Fn(usize) -> bool) -> Vec<usize>
 fn luminance_mean(mesh: &PatchMesh) -> f64 {
     let area: f64 = (0..mesh.patches.len()).map(|i| f64::from(mesh.area(i))).sum();
     (0..mesh.patches.len()).map(|i| super::power(mesh, i)).sum::<f64>() / area.max(f64::MIN_POSITIVE)
-}
-
-/// Share of the light leaving a point's cosine-weighted hemisphere that meets a triangle: Lambert's formula on the
-/// triangle clipped at the point's horizon.
-fn form_factor(p: Vec3, normal: Vec3, triangle: &[Vec3; 3]) -> f32 {
-    let mut polygon = [Vec3::ZERO; 4];
-    let mut n = 0;
-    for k in 0..3 {
-        let (a, b) = (triangle[k] - p, triangle[(k + 1) % 3] - p);
-        let (da, db) = (a.dot(normal), b.dot(normal));
-        if da >= 0.0 {
-            polygon[n] = a;
-            n += 1;
-        }
-        if (da < 0.0) != (db < 0.0) && n < 4 {
-            polygon[n] = a + (b - a) * (da / (da - db));
-            n += 1;
-        }
-    }
-    if n < 3 {
-        return 0.0;
-    }
-    let mut sum = 0.0;
-    for k in 0..n {
-        let (a, b) = (polygon[k].normalize_or_zero(), polygon[(k + 1) % n].normalize_or_zero());
-        let cross = a.cross(b);
-        let length = cross.length();
-        if length > 1e-12 {
-            sum += cross.dot(normal) / length * length.atan2(a.dot(b));
-        }
-    }
-    (sum / (2.0 * PI)).abs()
 }
 
 /// The `i`-th of `n` directions about a normal with density cosine / π: a Fibonacci set turned for each point.

@@ -6,9 +6,11 @@
 //! what it reflects onto the surface, is taken into account; all light counts as distant.
 
 use super::consistency::Surface;
-use super::{Environment, ProbeFit, mirror_ball, unwrap};
-use crate::image::RadianceImage;
-use crate::merge::median;
+use super::unwrap::{self, Unwrapped};
+use super::{Environment, ProbeFit, Problem, mirror_ball};
+use crate::config;
+use crate::image::{Image, Radiance, RadianceImage};
+use crate::merge::{Merged, median};
 use nalgebra::{Point2, Point3, Vector3};
 use rand::{Rng, SeedableRng, rngs::SmallRng};
 use rayon::prelude::*;
@@ -34,6 +36,9 @@ const RESAMPLES: u64 = 200;
 /// The light must stand out of its own uncertainty by this factor.
 const MIN_SIGNIFICANCE: f64 = 3.0;
 
+/// Of a smaller share of all power nothing is said where it cannot be restored.
+const UNIMPORTANT: f64 = 0.01;
+
 /// What the clipped pixels must be multiplied by.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Gain {
@@ -43,6 +48,13 @@ pub struct Gain {
     pub sigma: [f64; 3],
     /// Pixels compared, in shadow and in light.
     pub pixels: [usize; 2],
+}
+
+impl Gain {
+    /// What the clipped pixels are multiplied by: at least 1.
+    pub fn applied(&self) -> [f64; 3] {
+        self.gain.map(|g| g.max(1.0))
+    }
 }
 
 /// Why the shadow tells nothing.
@@ -81,8 +93,53 @@ struct Sample {
     block: (i32, i32),
 }
 
+/// Gives the light that no exposure holds the power that its shadow tells, and never less than was measured; says what
+/// the shadow tells, or why it tells nothing.
+pub fn restore(
+    fit: &ProbeFit,
+    merged: &Merged,
+    surface: &Surface,
+    settings: &config::Probe,
+    unwrapped: &mut Unwrapped,
+) -> Result<Result<Gain, Unusable>, Problem> {
+    let (w, h) = merged.radiance.size();
+    let only = Image::from_fn(w, h, |x, y| {
+        if *merged.clipped.at(x, y) { *merged.radiance.at(x, y) } else { Radiance::default() }
+    });
+    let lost = unwrap::unwrap(fit, &only, &merged.clipped, settings)?.environment;
+    let environment = &mut unwrapped.environment;
+    let found = gain(fit, &merged.radiance, [environment, &lost], surface, settings.reflectivity);
+    if let Ok(found) = &found {
+        let gain = found.applied();
+        for (l, part) in environment.radiance.pixels_mut().iter_mut().zip(lost.radiance.pixels()) {
+            (0..3).for_each(|k| l.0[k] += (gain[k] - 1.0) as f32 * part.0[k]);
+        }
+    }
+    Ok(found)
+}
+
+/// What a person should know of light that no exposure holds; `share` is its part of all power as measured.
+pub fn warning(share: f64, found: &Result<Gain, Unusable>) -> Option<String> {
+    let percent = 100.0 * share;
+    match found {
+        Ok(found) => {
+            let [r, g, b] = found.applied();
+            let sigma = found.sigma.into_iter().fold(0.0, f64::max);
+            Some(format!(
+                "{percent:.0} % of the light is clipped in every exposure of the probe; by the ball's shadow it was \
+                 raised by {r:.2} {g:.2} {b:.2} (± {sigma:.2}): a shorter exposure would be surer"
+            ))
+        }
+        Err(why) if share > UNIMPORTANT => Some(format!(
+            "{percent:.0} % of the light is clipped in every exposure of the probe, so there is more, and the ball's \
+             shadow does not tell how much: {why}; add a shorter exposure"
+        )),
+        Err(_) => None,
+    }
+}
+
 /// Estimates the gain. `all` is the environment as measured, `clipped` what of it comes from clipped pixels.
-pub fn gain(
+fn gain(
     fit: &ProbeFit,
     picture: &RadianceImage,
     [all, clipped]: [&Environment; 2],

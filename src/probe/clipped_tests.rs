@@ -1,7 +1,5 @@
 use super::*;
 use crate::camera::Intrinsics;
-use crate::config;
-use crate::image::{Image, Radiance};
 use crate::probe::latlong;
 use crate::probe::synthetic::{look_at, render};
 
@@ -87,14 +85,24 @@ fn photographed(level: [f32; 3], sun: Vector3<f64>) -> (Result<Gain, Unusable>, 
     let only = |image: &RadianceImage| {
         Image::from_fn(480, 360, |x, y| if *mask.at(x, y) { *image.at(x, y) } else { Radiance::default() })
     };
-    let unwrapped = |image: &RadianceImage| {
-        unwrap::unwrap(&fit, image, &mask, &config::Probe { width_px: 256, ..Default::default() })
-            .unwrap()
-            .environment
-    };
+    let settings = config::Probe { width_px: 256, ..Default::default() };
+    let unwrapped = |image: &RadianceImage| unwrap::unwrap(&fit, image, &mask, &settings).unwrap();
+    let merged = Merged { clipped: mask.clone(), ..Merged::from_linear(&picture) };
     let sum = |image: &RadianceImage, k: usize| image.pixels().iter().map(|p| f64::from(p.0[k])).sum::<f64>();
     let (measured, full) = (only(&picture), only(&truth));
-    let found = gain(&fit, &picture, [&unwrapped(&picture), &unwrapped(&measured)], &SURFACE, [0.9; 3]);
+    let (before, lost) = (unwrapped(&picture).environment, unwrapped(&measured).environment);
+    let mut out = unwrapped(&picture);
+    let found = restore(&fit, &merged, &SURFACE, &settings, &mut out).unwrap();
+    let gain = found.as_ref().map_or([1.0; 3], Gain::applied);
+    let light = |env: &Environment, k: usize| {
+        (0..before.radiance.pixels().len())
+            .map(|i| env.solid_angle(i) * f64::from(env.radiance.pixels()[i].0[k]))
+            .sum::<f64>()
+    };
+    for (k, gain) in gain.into_iter().enumerate() {
+        let expected = light(&before, k) + (gain - 1.0) * light(&lost, k);
+        assert!((light(&out.environment, k) / expected - 1.0).abs() < 1e-5, "channel {k}");
+    }
     (found, [0, 1, 2].map(|k| sum(&full, k) / sum(&measured, k)))
 }
 
@@ -126,4 +134,20 @@ fn a_light_whose_shadow_cannot_be_there_is_left_alone() {
     assert_eq!(gain(&fit, &picture, [&all, &lost], &SURFACE, [0.9; 3]).unwrap_err(), Unusable::NoShadow);
     let nowhere = Image::from_fn(8, 8, |_, _| Radiance::default());
     assert!(matches!(gain(&fit, &nowhere, [&all, &lost], &SURFACE, [0.9; 3]), Err(Unusable::FewPixels(..))));
+}
+
+#[test]
+fn a_person_is_told_of_light_that_is_lost() {
+    let found = Ok(Gain { gain: [1.5, 0.9, 2.0], sigma: [0.1, 0.2, 0.05], pixels: [100, 200] });
+    let said = warning(0.254, &found).unwrap();
+    assert!(
+        said.starts_with("25 % of the light is clipped") && said.contains("1.50 1.00 2.00 (± 0.20)"),
+        "{said}"
+    );
+    let said = warning(0.02, &Err(Unusable::NoShadow)).unwrap();
+    assert!(
+        said.contains("shows no shadow of the ball") && said.ends_with("; add a shorter exposure"),
+        "{said}"
+    );
+    assert_eq!(warning(0.009, &Err(Unusable::NoShadow)), None);
 }

@@ -5,6 +5,7 @@
 use super::edge::sample;
 use super::{mirror_ball, outline};
 use crate::camera::Camera;
+use crate::config::{self, ProbeCamera};
 use crate::image::Image;
 use nalgebra::{Matrix3, Point2, Point3, Vector2, Vector3};
 use rayon::prelude::*;
@@ -19,6 +20,16 @@ pub struct Surface {
 }
 
 impl Surface {
+    /// The surface that the settings tell of; with the printed grid where the probe's photographs show it.
+    pub fn new(settings: &config::Probe, grid: &config::Calibrate) -> Self {
+        // The squares around the inner corners, and a margin of half a square.
+        let half = |corners: u32| f64::from(corners + 2) * grid.square_m / 2.0;
+        Self {
+            height_m: settings.support_m.unwrap_or(-grid.thickness_m),
+            board_half_m: (settings.camera == ProbeCamera::Grid).then(|| grid.inner_corners.map(half)),
+        }
+    }
+
     /// Where a ray going down meets it.
     fn meet(&self, origin: &Point3<f64>, d: &Vector3<f64>) -> Option<Point3<f64>> {
         if d.y > -1e-3 {

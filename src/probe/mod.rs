@@ -4,6 +4,7 @@ pub mod clipped;
 pub mod consistency;
 mod edge;
 pub mod environment;
+pub mod exposures;
 pub mod find;
 pub mod latlong;
 pub mod marked;
@@ -12,14 +13,19 @@ pub mod outline;
 #[cfg(test)]
 pub mod synthetic;
 pub mod unwrap;
+pub mod view;
 
 use crate::artefact::json::JsonArtefact;
+use crate::calibrate;
 use crate::camera::Camera;
 use glam::Vec3;
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
 pub use environment::Environment;
+
+/// The reflectivity seen may differ from the one given by this share.
+const REFLECTIVITY_TOLERANCE: f64 = 0.1;
 
 /// Where the ball is, and how surely.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -54,6 +60,11 @@ impl ProbeFit {
         // Across and along the meridian, in the mean.
         let slope = 2.0 / (0.5 * self.diameter_px) * (0.5 * (1.0 + 1.0 / (cosine * cosine))).sqrt();
         slope * 0.25f64.sqrt()
+    }
+
+    /// The reflectivity seen, where it is far from the one given.
+    pub fn other_reflectivity(&self, given: f64) -> Option<f64> {
+        self.reflectivity_seen.filter(|seen| (seen / given - 1.0).abs() > REFLECTIVITY_TOLERANCE)
     }
 }
 
@@ -147,6 +158,9 @@ pub enum Problem {
         /// Width and height of the plate, px.
         plate: [usize; 2],
     },
+    /// The printed grid does not give the camera.
+    #[error(transparent)]
+    Grid(calibrate::Problem),
     /// The radius is not a length.
     #[error("the mirror ball has a radius of {0} m")]
     Radius(f64),
@@ -164,6 +178,7 @@ pub enum Problem {
 impl crate::error::Problem for Problem {
     fn hint(&self) -> String {
         match self {
+            Self::Grid(problem) => return problem.hint(),
             Self::NotFound { .. } | Self::NoOutline { .. } => {
                 "check probe.radius_m and probe.support_m, and that grid and ball stand on the same surface"
             }

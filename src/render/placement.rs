@@ -2,14 +2,15 @@
 
 use super::Problem;
 use super::object::{Object, bounds};
+use crate::calibrate::world_from_grid;
 use crate::camera::Camera;
 use crate::config;
 use crate::visibility::Bvh;
-use glam::{DAffine3, DMat3, DVec3, Vec3};
+use glam::{DAffine3, DQuat, DVec3, Vec3};
 use nalgebra::Point3;
+use std::f64::consts::FRAC_PI_2;
 
-/// File frame to world frame: upright, scaled, turned about the grid's z, moved, then grid to world,
-/// `(x, y, z) → (x, z, −y)`.
+/// File frame to world frame: upright, scaled, turned about the grid's z, moved, then grid to world.
 pub fn world_from_object(settings: &config::Render) -> Result<glam::Affine3A, Problem> {
     let refuse = |name, value, expected| Err(Problem::Setting { name, value, expected });
     if !(settings.scale > 0.0 && settings.scale.is_finite()) {
@@ -21,15 +22,18 @@ pub fn world_from_object(settings: &config::Render) -> Result<glam::Affine3A, Pr
     if !settings.rotation_deg.is_finite() {
         return refuse("rotation_deg", settings.rotation_deg, "a finite number");
     }
-    let quarter = DMat3::from_rotation_x(std::f64::consts::FRAC_PI_2);
-    let upright = if settings.y_up { quarter } else { DMat3::IDENTITY };
-    let turned = DMat3::from_rotation_z(settings.rotation_deg.to_radians()) * upright * settings.scale;
-    let world_from_grid = quarter.transpose();
-    let place = DAffine3::from_mat3_translation(
-        world_from_grid * turned,
-        world_from_grid * DVec3::from_array(settings.position_m),
+    let upright = if settings.y_up { DQuat::from_rotation_x(FRAC_PI_2) } else { DQuat::IDENTITY };
+    let grid_from_object = DAffine3::from_scale_rotation_translation(
+        DVec3::splat(settings.scale),
+        DQuat::from_rotation_z(settings.rotation_deg.to_radians()) * upright,
+        DVec3::from_array(settings.position_m),
     );
-    Ok(place.as_affine3a())
+    let grid = world_from_grid();
+    let world_from_grid = DAffine3::from_rotation_translation(
+        DQuat::from_array(grid.rotation.coords.into()),
+        DVec3::from_array(grid.translation.vector.into()),
+    );
+    Ok((world_from_grid * grid_from_object).as_affine3a())
 }
 
 /// Refuses an object that cannot be seen or stands outside the scene; warns of one that sinks into its support.

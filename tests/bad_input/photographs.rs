@@ -1,0 +1,169 @@
+//! Photographs and their exposures: stages `ingest` and `response`.
+
+use super::cases::{case, check};
+use super::spoil::Spoil::*;
+
+#[test]
+fn photographs_are_checked() {
+    check(&[
+        case(
+            "photo folder missing",
+            &[Set(r#"[ingest]
+photos = "fotos"
+"#)],
+            "ingest",
+            1,
+            "listing the photographs: ./fotos: No such file or directory (os error 2)",
+            "check the name and the folder in pipeline.toml",
+        ),
+        case(
+            "photo folder empty",
+            &[
+                Set(r#"[ingest]
+photos = "empty"
+"#),
+                Write("empty/readme.txt", "none\n"),
+            ],
+            "ingest",
+            1,
+            "listing the photographs: ./empty: holds no JPEG, PNG, TIFF, HDR or EXR file",
+            "put the photographs there, or name their folder with `photos` in [ingest]",
+        ),
+        case(
+            "pattern without a match",
+            &[Set(r#"[ingest.roles]
+probe = ["prob_*.jpg"]
+"#)],
+            "ingest",
+            1,
+            "sorting the photographs by role: `prob_*.jpg` (ingest.roles.probe) matches none of 30 image files",
+            "did you mean `probe_07.jpg`?",
+        ),
+        case(
+            "file with two roles",
+            &[Set(r#"[ingest.roles]
+grid = ["calib_*.jpg", "probe_00.jpg"]
+"#)],
+            "ingest",
+            1,
+            "sorting the photographs by role: probe_00.jpg has the roles `probe` and `grid`",
+            "let each file match one role in [ingest.roles]; only the plate may also be one of the brackets",
+        ),
+        case(
+            "no plate",
+            &[Set("[ingest.roles]\nplate = []\n")],
+            "ingest",
+            1,
+            "checking the photographs: no photograph has the role `plate`",
+            r#"name it in pipeline.toml: [ingest.roles] plate = ["FILE"]"#,
+        ),
+        case(
+            "photo is text",
+            &[Write("photos/probe_03.jpg", "not a picture\n")],
+            "ingest",
+            1,
+            "reading the header of a photograph: ./photos/probe_03.jpg: is not a JPEG, PNG, TIFF, Radiance HDR or OpenEXR image",
+            "export it as JPEG or 16-bit TIFF, or leave it out of the roles",
+        ),
+        case(
+            "photo is empty",
+            &[Write("photos/probe_03.jpg", "")],
+            "ingest",
+            1,
+            "reading the header of a photograph: ./photos/probe_03.jpg: is not a JPEG, PNG, TIFF, Radiance HDR or OpenEXR image",
+            "export it as JPEG or 16-bit TIFF, or leave it out of the roles",
+        ),
+        case(
+            "other size among exposures",
+            &[
+                Restore("photos/brackets_03.jpg", 320, 240),
+                Set(r#"[ingest]
+exposure = [{ file = "brackets_03.jpg", time_s = 0.1, f_number = 8, iso = 100 }]
+"#),
+            ],
+            "ingest",
+            1,
+            "checking the photographs: brackets_03.jpg is 320×240 px, brackets_00.jpg is 640×480 px; they must be of one size for role `brackets`",
+            "use photographs of one size, neither cropped nor scaled",
+        ),
+        case(
+            "exposure time missing",
+            &[Restore("photos/brackets_03.jpg", 640, 480)],
+            "ingest",
+            1,
+            "checking the photographs: brackets_03.jpg (`brackets`) has no exposure time",
+            r#"state it under [ingest] in pipeline.toml: exposure = [{ file = "brackets_03.jpg", time_s = 0.01 }], and f_number and iso if they vary"#,
+        ),
+        case(
+            "photo removed after ingest",
+            &[Remove("photos/brackets_03.jpg")],
+            "response",
+            1,
+            "opening an input of stage `response`: ./photos/brackets_03.jpg: No such file or directory (os error 2)",
+            "check the name and the folder in pipeline.toml",
+        ),
+        case(
+            "photo changed after ingest",
+            &[Restore("photos/brackets_03.jpg", 320, 240)],
+            "response",
+            1,
+            "reading a photograph: ./photos/brackets_03.jpg: is 320×240 px, was 640×480 px at ingest",
+            "run again from stage `ingest`",
+        ),
+        case(
+            "JPEG cut short",
+            &[Cut("photos/brackets_03.jpg", 60)],
+            "response",
+            1,
+            "decoding a photograph: ./photos/brackets_03.jpg: truncated JPEG: the end-of-image marker is missing",
+            "copy the file again from the camera, or leave it out of the roles",
+        ),
+        case(
+            "NaN in an EXR photograph",
+            &[
+                Exr("photos/plate.exr", 640, 480, true),
+                Set(r#"[ingest.roles]
+plate = ["plate.exr"]
+brackets = []
+plate_with_grid = []
+"#),
+            ],
+            "insitu run case.toml --to merge",
+            1,
+            "reading an EXR: ./photos/plate.exr: channel G is NaN at pixel (1, 0)",
+            "repair or leave out the file: every sample must be a finite number",
+        ),
+    ]);
+}
+
+#[test]
+fn exposures_must_tell_the_response() {
+    check(&[
+        case(
+            "all exposures equal",
+            &[Set(r#"[ingest]
+exposure = [{ file = "*.jpg", time_s = 0.01, f_number = 8.0, iso = 100 }]
+"#)],
+            "insitu run case.toml --to response",
+            1,
+            "fitting the response to brackets_00.jpg … brackets_06.jpg: 7 frames have 1 distinct exposure, at least 2 are needed",
+            "photograph the view with exposure times one or two stops apart, or state the times in [[ingest.exposure]]",
+        ),
+        case(
+            "all white",
+            &[Flat("brackets", 255)],
+            "response",
+            1,
+            "fitting the response to brackets_00.jpg … brackets_06.jpg: channel red: 0 of # places are well exposed in two frames, at least 30 are needed (100 % of their exposures are clipped, 0 % black)",
+            "add shorter exposures",
+        ),
+        case(
+            "all black",
+            &[Flat("brackets", 0)],
+            "response",
+            1,
+            "fitting the response to brackets_00.jpg … brackets_06.jpg: channel red: 0 of # places are well exposed in two frames, at least 30 are needed (0 % of their exposures are clipped, 100 % black)",
+            "add longer exposures",
+        ),
+    ]);
+}

@@ -1,0 +1,282 @@
+//! `pipeline.toml`.
+
+use super::cases::{case, check};
+use super::spoil::Spoil::*;
+
+#[test]
+fn settings_are_shown_with_line_and_column() {
+    check(&[
+        case(
+            "settings file missing",
+            &[],
+            "insitu run nowhere.toml",
+            2,
+            "nowhere.toml: reading the settings: No such file or directory (os error 2)",
+            "name a settings file, or write one with `insitu new FOLDER`",
+        ),
+        case(
+            "not TOML",
+            &[Write("case.toml", "[probe\n")],
+            "ingest",
+            2,
+            "case.toml:1:7: unclosed table, expected `]`",
+            "see the commented pipeline.toml of insitu",
+        ),
+        case(
+            "not text",
+            &[Copy("photos/plate_000.jpg", "case.toml")],
+            "ingest",
+            2,
+            "case.toml: reading the settings: stream did not contain valid UTF-8",
+            "save it as UTF-8 text",
+        ),
+        case(
+            "unknown key",
+            &[Set("[transfer]\nrays = 4\n  sorce_share = 0.5\n")],
+            "ingest",
+            2,
+            "case.toml:4:3: unknown field `sorce_share`, expected `source_share` or `rays`",
+            "did you mean `source_share`?",
+        ),
+        case(
+            "unknown table",
+            &[Set("[rendre]\nscale = 2\n")],
+            "ingest",
+            2,
+            "case.toml:2:2: unknown field `rendre`, expected one of `extends`, `work`, `annotations`, `ingest`, `response`, `merge`, `calibrate`, `probe`, `model`, `illuminate`, `irradiance`, `transfer`, `render`, `composite`, `evaluate`",
+            "did you mean `render`?",
+        ),
+        case(
+            "unknown role",
+            &[Set(r#"[ingest.roles]
+plaet = ["plate_000.jpg"]
+"#)],
+            "ingest",
+            2,
+            "case.toml:3:1: unknown variant `plaet`, expected one of `plate`, `brackets`, `plate_with_grid`, `probe`, `grid`, `frames`",
+            "did you mean `plate`?",
+        ),
+        case(
+            "wrong type",
+            &[Set(r#"[probe]
+radius_m = "0.1"
+"#)],
+            "ingest",
+            2,
+            r#"case.toml:3:12: invalid type: string "0.1", expected a number"#,
+            "see the commented pipeline.toml of insitu",
+        ),
+        case(
+            "negative count",
+            &[Set("[render]\nrays = -5\n")],
+            "render",
+            2,
+            "case.toml:3:8: invalid value: integer `-5`, expected a whole number of at least 0",
+            "see the commented pipeline.toml of insitu",
+        ),
+        case(
+            "unknown method",
+            &[Set(r#"[render]
+method = "raytrace"
+"#)],
+            "render",
+            2,
+            "case.toml:3:10: unknown variant `raytrace`, expected `raytraced` or `radiance-transfer`",
+            "did you mean `raytraced`?",
+        ),
+        case(
+            "extends nothing",
+            &[Write("case.toml", "extends = \"base.toml\"\n")],
+            "ingest",
+            2,
+            "base.toml: reading the settings: No such file or directory (os error 2)",
+            "check `extends` in case.toml",
+        ),
+        case(
+            "extends twice",
+            &[Set(""), Write("twice.toml", "extends = \"case.toml\"\n")],
+            "insitu status twice.toml",
+            2,
+            "case.toml: is extended by another file and extends one itself",
+            "keep to one level of `extends`",
+        ),
+    ]);
+}
+
+#[test]
+fn numbers_out_of_range_are_refused() {
+    check(&[
+        case(
+            "negative radius",
+            &[Set("[probe]\nradius_m = -0.1\n")],
+            "probe",
+            2,
+            "case.toml:3:1: `probe.radius_m` is -0.1",
+            "give a number above 0, at most 10; without it, it is 0.1",
+        ),
+        case(
+            "radius not a number",
+            &[Set("[probe]\nradius_m = nan\n")],
+            "probe",
+            2,
+            "case.toml:3:1: `probe.radius_m` is NaN",
+            "give a number above 0, at most 10; without it, it is 0.1",
+        ),
+        case(
+            "reflectivity above 1",
+            &[Set("[probe]\nreflectivity = [0.9, 1.2, 0.9]\n")],
+            "probe",
+            2,
+            "case.toml:3:1: `probe.reflectivity` is 1.2",
+            "give a number above 0, at most 1; without it, it is 0.9, 0.9, 0.9",
+        ),
+        case(
+            "no environment",
+            &[Set("[probe]\nwidth_px = 0\n")],
+            "probe",
+            2,
+            "case.toml:3:1: `probe.width_px` is 0",
+            "give a number from 16 to 8192; without it, it is 512",
+        ),
+        case(
+            "huge environment",
+            &[Set("[probe]\nwidth_px = 1000000000\n")],
+            "probe",
+            2,
+            "case.toml:3:1: `probe.width_px` is 1000000000",
+            "give a number from 16 to 8192; without it, it is 512",
+        ),
+        case(
+            "negative edge",
+            &[Set("[illuminate]\nmax_edge_m = -1\n")],
+            "illuminate",
+            2,
+            "case.toml:3:1: `illuminate.max_edge_m` is -1",
+            "give a number from 0.01 to 1000; without it, it is 0.25",
+        ),
+        case(
+            "tiny edge",
+            &[Set("[illuminate]\nmax_edge_m = 1e-9\n")],
+            "illuminate",
+            2,
+            "case.toml:3:1: `illuminate.max_edge_m` is 0.000000001",
+            "give a number from 0.01 to 1000; without it, it is 0.25",
+        ),
+        case(
+            "no share",
+            &[Set("[transfer]\nsource_share = 0\n")],
+            "transfer",
+            2,
+            "case.toml:3:1: `transfer.source_share` is 0",
+            "give a number above 0, at most 1; without it, it is 0.7",
+        ),
+        case(
+            "share above 1",
+            &[Set("[transfer]\nsource_share = 1.5\n")],
+            "transfer",
+            2,
+            "case.toml:3:1: `transfer.source_share` is 1.5",
+            "give a number above 0, at most 1; without it, it is 0.7",
+        ),
+        case(
+            "no rays",
+            &[Set("[transfer]\nrays = 0\n")],
+            "transfer",
+            2,
+            "case.toml:3:1: `transfer.rays` is 0",
+            "give a number from 1 to 4096; without it, it is 8",
+        ),
+        case(
+            "no irradiance rays",
+            &[Set("[irradiance]\nrays = 0\n")],
+            "irradiance",
+            2,
+            "case.toml:3:1: `irradiance.rays` is 0",
+            "give a number from 16 to 1000000; without it, it is 4096",
+        ),
+        case(
+            "scale 0",
+            &[Set("[render]\nscale = 0\n")],
+            "render",
+            2,
+            "case.toml:3:1: `render.scale` is 0",
+            "give a number above 0, at most 1000000; without it, it is 1",
+        ),
+        case(
+            "no antialiasing",
+            &[Set("[render]\nantialiasing = 0\n")],
+            "render",
+            2,
+            "case.toml:3:1: `render.antialiasing` is 0",
+            "give a number from 1 to 32; without it, it is 4",
+        ),
+        case(
+            "huge shadow map",
+            &[Set("[render]\nshadow_map_px = 10000000\n")],
+            "render",
+            2,
+            "case.toml:3:1: `render.shadow_map_px` is 10000000",
+            "give a number from 16 to 8192; without it, it is 256",
+        ),
+        case(
+            "diffuse above 1",
+            &[Set("[render]\ndiffuse = [1.5, 0.5, 0.5]\n")],
+            "render",
+            2,
+            "case.toml:3:1: `render.diffuse` is 1.5",
+            "give a number from 0 to 1; without it, it is 0.5, 0.5, 0.5",
+        ),
+        case(
+            "one inner corner",
+            &[Set("[calibrate]\ninner_corners = [1, 5]\n")],
+            "calibrate",
+            2,
+            "case.toml:3:1: `calibrate.inner_corners` is 1",
+            "give a number from 3 to 100; without it, it is 7, 5",
+        ),
+        case(
+            "exposure time 0",
+            &[Set(r#"[ingest]
+exposure = [{ file = "probe_*.jpg", time_s = 0.0 }]
+"#)],
+            "ingest",
+            2,
+            "case.toml:3:1: `time_s` of probe_*.jpg is 0",
+            "give a number above 0, at most 100000, or leave it out to use EXIF",
+        ),
+        case(
+            "exposure time negative",
+            &[Set(r#"[ingest]
+exposure = [{ file = "probe_*.jpg", time_s = -0.1 }]
+"#)],
+            "ingest",
+            2,
+            "case.toml:3:1: `time_s` of probe_*.jpg is -0.1",
+            "give a number above 0, at most 100000, or leave it out to use EXIF",
+        ),
+        case(
+            "base file out of range",
+            &[Swap("pipeline.toml", "radius_m = 0.1", "radius_m = 0.0")],
+            "probe",
+            2,
+            "pipeline.toml:73:1: `probe.radius_m` is 0",
+            "give a number above 0, at most 10; without it, it is 0.1",
+        ),
+        case(
+            "more diffuse and specular than light",
+            &[Set("[render]\ndiffuse = [0.8, 0.8, 0.8]\nspecular = [0.5, 0.5, 0.5]\n")],
+            "render",
+            2,
+            "case.toml:4:1: `render.diffuse` and `render.specular` together reflect 1.3",
+            "let them add up to at most 1 in every channel",
+        ),
+        case(
+            "nodes without end",
+            &[Set("[irradiance]\nspacing_m = 0.01\nreach_m = 100\n")],
+            "irradiance",
+            1,
+            "building the irradiance volume: the irradiance volume would have # nodes, at most 100,000 are sensible",
+            "raise irradiance.spacing_m or lower irradiance.reach_m",
+        ),
+    ]);
+}
