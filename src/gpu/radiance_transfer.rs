@@ -264,12 +264,7 @@ impl<'a> RadianceTransfer<'a> {
     }
 
     fn frame(&self, maps: usize, pixels: usize, clusters: usize) -> wgpu::Buffer {
-        let frame = Frame {
-            maps: maps as u32,
-            pixels: pixels as u32,
-            clusters: clusters as u32,
-            padding: 0,
-        };
+        let frame = Frame { maps: maps as u32, pixels: pixels as u32, clusters: clusters as u32, padding: 0 };
         self.device.upload("frame", bytemuck::bytes_of(&frame), wgpu::BufferUsages::UNIFORM)
     }
 

@@ -1,6 +1,7 @@
 //! A coarser object for shadow maps (Gibson et al. 2003, §7.2).
 
 use super::Occluder;
+use crate::config::{Render, ShadowMethod};
 use glam::Vec3;
 use meshopt::{SimplifyOptions, simplify_decoder};
 use rayon::prelude::*;
@@ -22,6 +23,14 @@ pub struct Caster {
 }
 
 impl Caster {
+    /// What the method that the settings name looks at: rays see the whole object.
+    pub fn of(occluder: &Occluder, settings: &Render) -> Self {
+        match settings.method {
+            ShadowMethod::Raytraced => Self::new(occluder, 0),
+            ShadowMethod::RadianceTransfer => Self::new(occluder, settings.caster_triangles),
+        }
+    }
+
     /// The object with about `triangles` triangles (0: as it is), more where they are needed to keep its shape. An
     /// object that has few is left as it is. Open borders stay where they are.
     pub fn new(occluder: &Occluder, triangles: usize) -> Self {
@@ -39,7 +48,8 @@ impl Caster {
         let mut target = triangles;
         while target < welded.triangles.len() {
             let options = SimplifyOptions::LockBorder | SimplifyOptions::ErrorAbsolute;
-            let kept = simplify_decoder(indices, &positions(&welded.vertices), 3 * target, most, options, None);
+            let kept =
+                simplify_decoder(indices, &positions(&welded.vertices), 3 * target, most, options, None);
             let triangles = kept.as_chunks::<3>().0.to_vec();
             if !triangles.is_empty() {
                 let simple = compacted(&welded.vertices, &triangles);
@@ -181,7 +191,11 @@ mod tests {
         let caster = Caster::new(&whole, 500);
         let count = caster.occluder.triangles.len();
         assert!((200..=1000).contains(&count), "{count} of {}", whole.triangles.len());
-        assert!(caster.error_m > 0.0 && caster.error_m <= MOST_ERROR * 0.4 * 3f32.sqrt(), "{}", caster.error_m);
+        assert!(
+            caster.error_m > 0.0 && caster.error_m <= MOST_ERROR * 0.4 * 3f32.sqrt(),
+            "{}",
+            caster.error_m
+        );
         // The error is that of an independent measurement: no vertex of the whole lies farther off.
         let radius = caster.occluder.vertices.iter().map(|v| v.length()).fold(f32::INFINITY, f32::min);
         assert!((radius - 0.2).abs() < 1e-5, "vertices are those of the object");
@@ -194,8 +208,9 @@ mod tests {
     #[test]
     fn the_border_of_an_open_sheet_stays() {
         let n = 40u32;
-        let vertices =
-            (0..=n).flat_map(|j| (0..=n).map(move |i| Vec3::new(i as f32, 0.0, j as f32) / n as f32)).collect();
+        let vertices = (0..=n)
+            .flat_map(|j| (0..=n).map(move |i| Vec3::new(i as f32, 0.0, j as f32) / n as f32))
+            .collect();
         let quad = |i: u32, j: u32| [j * (n + 1) + i, j * (n + 1) + i + 1, (j + 1) * (n + 1) + i];
         let triangles = (0..n)
             .flat_map(|j| (0..n).map(move |i| (i, j)))

@@ -65,7 +65,8 @@ fn probes(scene: &Scene, prepared: &Prepared, affected: &Affected, bounds: &Boun
                 continue;
             }
             let plate = scene.plate.pixels()[pixel.index as usize].luminance().max(0.0);
-            let light = vector.pixels.len() as f32 * plate / all * covered(pixel.position, pixel.normal, bounds);
+            let light =
+                vector.pixels.len() as f32 * plate / all * covered(pixel.position, pixel.normal, bounds);
             for (v, w) in pixel.vertices.iter().zip(pixel.weights) {
                 by_vertex[*v as usize] += f64::from(light * w.max(0.0));
             }

@@ -34,8 +34,11 @@ impl Pyramid {
                 let mut range = [f32::INFINITY, f32::NEG_INFINITY];
                 for (dy, dx) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
                     let (x, y) = ((2 * x + dx).min(below - 1), (2 * y + dy).min(below - 1));
-                    let [low, high] =
-                        if first == 0 { [map.depth[y * below + x]; 2] } else { ranges[before + y * below + x] };
+                    let [low, high] = if first == 0 {
+                        [map.depth[y * below + x]; 2]
+                    } else {
+                        ranges[before + y * below + x]
+                    };
                     range = [range[0].min(low), range[1].max(high)];
                 }
                 ranges.push(range);
@@ -56,7 +59,8 @@ impl Pyramid {
             return Cover::Part;
         }
         let at = q / q.w;
-        let reach = |i: usize, value: f32| radius * (m.row(i).truncate() - forward * value).length() / least_w;
+        let reach =
+            |i: usize, value: f32| radius * (m.row(i).truncate() - forward * value).length() / least_w;
         let (du, dv, dd) = (reach(0, at.x), reach(1, at.y), reach(2, at.z));
         let last = self.map.size as f32 - 1.0;
         // The first and last texel that a lookup can touch.
@@ -144,7 +148,8 @@ impl<'a> OnPlane<'a> {
         let [du, dv] = self.slope.map(f32x8::splat);
         let corner = d - f32x8::splat(DEPTH_BIAS) - du * fu - dv * fv;
         let empty = f32x8::splat(EMPTY);
-        let hit = |texel: [f32; 8], depth: f32x8| depth.fast_min(empty).cmp_gt(f32x8::new(texel)) & f32x8::ONE;
+        let hit =
+            |texel: [f32; 8], depth: f32x8| depth.fast_min(empty).cmp_gt(f32x8::new(texel)) & f32x8::ONE;
         let (gu, gv) = (f32x8::ONE - fu, f32x8::ONE - fv);
         let top = hit(near[0], corner) * gu + hit(near[1], corner + du) * fu;
         let bottom = hit(near[2], corner + dv) * gu + hit(near[3], corner + du + dv) * fu;
@@ -175,7 +180,8 @@ mod tests {
             [[0.05, 0.0, 0.2], [0.2, 0.0, 0.25], [0.2, 0.2, 0.25], [0.05, 0.2, 0.2]],
         ];
         let vertices = quads.iter().flatten().map(|&p| Vec3::from(p)).collect();
-        let triangles = (0..3).flat_map(|q| [[4 * q, 4 * q + 1, 4 * q + 2], [4 * q, 4 * q + 2, 4 * q + 3]]).collect();
+        let triangles =
+            (0..3).flat_map(|q| [[4 * q, 4 * q + 1, 4 * q + 2], [4 * q, 4 * q + 2, 4 * q + 3]]).collect();
         Occluder { vertices, triangles }
     }
 
@@ -184,7 +190,8 @@ mod tests {
     }
 
     fn map(from: Vec3, distant: bool, size: usize) -> ShadowMap {
-        let origin = if distant { ShadowOrigin::Direction(from.normalize()) } else { ShadowOrigin::Point(from) };
+        let origin =
+            if distant { ShadowOrigin::Direction(from.normalize()) } else { ShadowOrigin::Point(from) };
         let occluder = occluder();
         rasterise(&Projection::fit(origin, &Bounds::of(&occluder), size).unwrap(), &occluder, size)
     }

@@ -93,7 +93,8 @@ impl Strata<'_> {
     /// Origins of clusters (nodes of the tree), by cluster: one each, and more where they save most until there are
     /// `most`. With no more than one a cluster they lie at the strongest source's centre, as in the paper.
     pub fn origins(&self, clusters: &[u32], most: usize) -> Vec<Origin> {
-        let total: f64 = clusters.iter().map(|&n| self.moments.of(&self.tree.nodes[n as usize].leaves).weight).sum();
+        let total: f64 =
+            clusters.iter().map(|&n| self.moments.of(&self.tree.nodes[n as usize].leaves).weight).sum();
         if total <= 0.0 {
             return Vec::new();
         }
@@ -250,7 +251,8 @@ impl Strata<'_> {
     fn strongest(&self, piece: Piece) -> ShadowOrigin {
         let Piece::Node(node) = piece else { return self.middle(piece) };
         let leaves = self.tree.nodes[node as usize].leaves.clone();
-        let weight = |&i: &u32| self.seen[i as usize].weight * f64::from(u8::from(self.seen[i as usize].marked));
+        let weight =
+            |&i: &u32| self.seen[i as usize].weight * f64::from(u8::from(self.seen[i as usize].marked));
         let best = leaves.clone().max_by(|a, b| weight(a).total_cmp(&weight(b)).then(b.cmp(a)));
         self.middle(self.shape(best.unwrap_or(leaves.start)))
     }
@@ -288,18 +290,32 @@ mod tests {
             light.mesh.patches.push(Patch { vertices, face: 0, radiance, reflectance: [0.5; 3], evidence });
             sources.push(Source { kind: SourceKind::Patch(i), power_share: 0.1, mean: 1.0 });
             let position = light.mesh.centroid(i as usize).as_dvec3();
-            let own_variance = triangle_variance(light.mesh.corners(i as usize).map(|c| c.as_dvec3()), DVec3::ZERO, 0.1);
+            let own_variance =
+                triangle_variance(light.mesh.corners(i as usize).map(|c| c.as_dvec3()), DVec3::ZERO, 0.1);
             let direction = position.normalize();
-            seen.push(Seen { weight: 1.0 + f64::from(i), marked: true, direction, own_variance, position: Some(position) });
+            seen.push(Seen {
+                weight: 1.0 + f64::from(i),
+                marked: true,
+                direction,
+                own_variance,
+                position: Some(position),
+            });
         }
         (light, sources, seen)
     }
 
-    fn origins(light: &LightModel, sources: &[Source], seen: &[Seen], clusters: &[u32], most: usize) -> Vec<Origin> {
+    fn origins(
+        light: &LightModel,
+        sources: &[Source],
+        seen: &[Seen],
+        clusters: &[u32],
+        most: usize,
+    ) -> Vec<Origin> {
         let tree = balanced(sources.len() as u32);
         let moments = Moments::new(seen);
         let (centre, radius) = (DVec3::ZERO, 0.1);
-        Strata { light, sources, tree: &tree, seen, moments: &moments, centre, radius }.origins(clusters, most)
+        Strata { light, sources, tree: &tree, seen, moments: &moments, centre, radius }
+            .origins(clusters, most)
     }
 
     proptest! {
@@ -334,7 +350,13 @@ mod tests {
         let mut light = LightModel::default();
         light.distant.push(DistantSource { direction: axis, solid_angle_sr, radiance: [1.0; 3] });
         let sources = [Source { kind: SourceKind::Distant(0), power_share: 1.0, mean: 1.0 }];
-        let seen = [Seen { weight: 1.0, marked: true, direction: axis.as_dvec3(), own_variance: 1e-4, position: None }];
+        let seen = [Seen {
+            weight: 1.0,
+            marked: true,
+            direction: axis.as_dvec3(),
+            own_variance: 1e-4,
+            position: None,
+        }];
         for most in [1, 2, 7, 16, 64] {
             let found = origins(&light, &sources, &seen, &[0], most);
             let directions = found.iter().map(|o| match o.at {

@@ -249,7 +249,8 @@ impl<'a> Tracer<'a> {
             let from = pixel.at(offset) + pixel.normal * OFFSET_M;
             let density = f64::from(weights[j]) / total * n as f64;
             let source = lit.sources[j] as usize;
-            let sample = if density > 0.0 { self.sample(pixel, from, source, shift, i, density) } else { None };
+            let sample =
+                if density > 0.0 { self.sample(pixel, from, source, shift, i, density) } else { None };
             samples.push(sample.unwrap_or_default());
         }
     }

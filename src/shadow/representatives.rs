@@ -145,7 +145,8 @@ pub(crate) fn representatives(
         (sum.count > 0).then_some(Entry { key, node })
     };
     let most = if count == 0 { usize::MAX } else { count };
-    let mut queue: BinaryHeap<Entry> = if tree.nodes.is_empty() { None } else { entry(0) }.into_iter().collect();
+    let mut queue: BinaryHeap<Entry> =
+        if tree.nodes.is_empty() { None } else { entry(0) }.into_iter().collect();
     let mut chosen: Vec<u32> = Vec::new();
     while chosen.len() + queue.len() < most {
         let Some(Entry { node, .. }) = queue.pop() else { break };
@@ -185,7 +186,13 @@ pub(crate) mod tests {
     fn seen(weights: &[f64]) -> Vec<Seen> {
         let seen = |(i, &weight): (usize, &f64)| {
             let direction = DVec3::new((i as f64).cos(), 1.0, (i as f64).sin()).normalize();
-            Seen { weight, marked: weight > 0.0, direction, own_variance: 1e-3, position: Some(direction * 2.0) }
+            Seen {
+                weight,
+                marked: weight > 0.0,
+                direction,
+                own_variance: 1e-3,
+                position: Some(direction * 2.0),
+            }
         };
         weights.iter().enumerate().map(seen).collect()
     }

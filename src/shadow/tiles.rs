@@ -64,7 +64,6 @@ pub(crate) struct Tile {
 #[derive(Debug, Clone)]
 pub(crate) struct Block {
     pub tiles: Range<usize>,
-    pub pixels: Range<usize>,
     pub centre: Vec3,
     pub radius: f32,
 }
@@ -122,15 +121,11 @@ impl Prepared {
         let (pixels, vectors, tiles) = (self.pixels.len(), self.vectors.len(), self.tiles.len());
         let moved = |r: &Range<usize>, by: usize| r.start + by..r.end + by;
         if let Some((centre, radius)) = sphere(part.tiles.iter().map(|t| (t.centre, t.radius))) {
-            self.blocks.push(Block {
-                tiles: tiles..tiles + part.tiles.len(),
-                pixels: pixels..pixels + part.pixels.len(),
-                centre,
-                radius,
-            });
+            self.blocks.push(Block { tiles: tiles..tiles + part.tiles.len(), centre, radius });
         }
         self.pixels.extend(part.pixels);
-        self.vectors.extend(part.vectors.into_iter().map(|v| Vector { pixels: moved(&v.pixels, pixels), ..v }));
+        self.vectors
+            .extend(part.vectors.into_iter().map(|v| Vector { pixels: moved(&v.pixels, pixels), ..v }));
         self.tiles.extend(part.tiles.into_iter().map(|t| Tile {
             pixels: moved(&t.pixels, pixels),
             vectors: moved(&t.vectors, vectors),
@@ -172,8 +167,8 @@ impl Part {
         let mut part = Self::default();
         for (x, y) in squares([x, y], [width.min(x + BLOCK_PX), height.min(y + BLOCK_PX)], TILE_PX) {
             let first = part.pixels.len();
-            for (y, x) in (y..height.min(y + TILE_PX))
-                .flat_map(|y| (x..width.min(x + TILE_PX)).map(move |x| (y, x)))
+            for (y, x) in
+                (y..height.min(y + TILE_PX)).flat_map(|y| (x..width.min(x + TILE_PX)).map(move |x| (y, x)))
             {
                 part.pixels.extend(pixel(scene, scene.receivers, x, y)?);
             }
