@@ -301,6 +301,8 @@ settings! {
         smooth_deg: f64 = 60.0,
         /// Rays per pixel of the object by which it shadows and lights itself.
         shading_rays: usize = 128,
+        /// Rays per pixel by which the scene gets the light that the object reflects; 0 leaves that out.
+        reflected_rays: usize = 64,
         /// Width of the environment map at the object, px; its height is half of that.
         environment_px: usize = 128,
         /// Rays per pixel along each side, for edges.

@@ -70,7 +70,7 @@ pub const STAGES: &[Stage] = &[
     },
     Stage {
         name: "composite",
-        version: 1,
+        version: 2,
         reads: &["ingest", "response", "merge", "render"],
         about: "put object and shadow into the plate",
     },

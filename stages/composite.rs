@@ -1,7 +1,7 @@
 //! Stage `composite`: object and shadow in the plate, linear and as a photograph.
 
 use insitu::artefact::{exr, json, remake};
-use insitu::composite::{composite, picture, view, write_png};
+use insitu::composite::{composite, net, picture, view, write_png};
 use insitu::error::{Context as _, Error};
 use insitu::exposure::{self, Capture, Photograph};
 use insitu::render::Layer;
@@ -12,11 +12,14 @@ fn main() -> std::process::ExitCode {
         let capture: Capture = json::read(&ctx.artefact("ingest", "capture.json")?)?;
         let plate = exr::read_radiance(&ctx.artefact("merge", "plate.exr")?)?;
         let removed = exr::read_radiance(&ctx.artefact("render", "removed.exr")?)?;
+        let reflected = exr::read_radiance(&ctx.artefact("render", "reflected.exr")?)?;
         let path = ctx.artefact("render", "object.exr")?;
         let object = Layer::from_planes(&exr::read(&path)?).ok_or_else(|| {
             Error::file("reading the object's layer", &path, "lacks R, G, B, A or Z", remake(&path))
         })?;
-        let result = composite(&plate, &removed, &object).doing("putting the object into the plate")?;
+        let result = net(&removed, &reflected)
+            .and_then(|net| composite(&plate, &net, &object))
+            .doing("putting the object into the plate")?;
         ctx.figure("clamped_px", result.clamped_px);
         ctx.figure("clamped_share", result.clamped_share);
         if result.clamped_share > 0.01 {

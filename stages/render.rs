@@ -6,7 +6,7 @@ use insitu::error::{Context as _, Result};
 use insitu::illuminate;
 use insitu::irradiance::{Beams, Volume};
 use insitu::model::{Scene, face};
-use insitu::render::{self, Environment, Lighting, Object, Shadowed};
+use insitu::render::{self, Environment, Lighting, Object, Reflector, Shadowed};
 use insitu::shadow::{self, Caster, Occluder, Receivers, Session};
 use insitu::stage::{Context, Input, digest_file};
 use insitu::transfer::Transfers;
@@ -74,11 +74,22 @@ fn main() -> std::process::ExitCode {
             ctx.warn("no pixel shows the object: the scene hides it");
         }
 
+        let started = Instant::now();
+        let reflected = Reflector::new(&object, &lighting, settings.seed).onto(
+            &receivers,
+            &plate,
+            &scene_bvh,
+            |receiver| transfers.irradiance_on(receiver),
+            settings.reflected_rays,
+        );
+        ctx.figure("reflect_s", started.elapsed().as_secs_f64());
+
         let seen = receivers.pixels.pixels().iter().map(|r| if r.is_some() { 1.0 } else { 0.0 }).collect();
         let (width, height) = plate.size();
         let mask = exr::Planes { width, height, channels: vec![("Y".into(), seen)] };
         exr::write(&ctx.output("receivers.exr"), &mask, exr::Kind::Picture)?;
         exr::write_radiance(&ctx.output("removed.exr"), &removed.epsilon)?;
+        exr::write_radiance(&ctx.output("reflected.exr"), &reflected)?;
         exr::write(
             &ctx.output("environment.exr"),
             &exr::Planes::from_radiance(&environment.map),

@@ -50,7 +50,16 @@ pub struct Composite {
     pub clamped_share: f64,
 }
 
-/// `C = (B − ε)(1 − A) + O` with plate B, removed radiance ε, premultiplied object O of coverage A. Where the object
+/// What the object removes less what it reflects.
+pub fn net(removed: &RadianceImage, reflected: &RadianceImage) -> Result<RadianceImage, Problem> {
+    check_size(removed.size(), "the reflected radiance", reflected.size())?;
+    let pixels = removed.pixels().iter().zip(reflected.pixels());
+    let pixels = pixels.map(|(e, a)| Radiance(std::array::from_fn(|k| e.0[k] - a.0[k]))).collect();
+    Ok(Image::from_pixels(removed.width(), removed.height(), pixels))
+}
+
+/// `C = (B − ε)(1 − A) + O` with plate B, removed radiance ε (less what the object adds, so it may be negative),
+/// premultiplied object O of coverage A. Where the object
 /// changes nothing (ε = 0, A = 0), C is B, bit for bit. Where the object covers a pixel in part, ε is that of the
 /// neighbours that it leaves free: the pixel's own may be that of the floor below the object, which nobody sees.
 pub fn composite(

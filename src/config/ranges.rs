@@ -74,6 +74,7 @@ const RANGES: &[(&str, &str, Range)] = &[
     ("render", "shininess", From(0.0, 1e6)),
     ("render", "smooth_deg", From(0.0, 180.0)),
     ("render", "shading_rays", From(1.0, 65_536.0)),
+    ("render", "reflected_rays", From(0.0, 65_536.0)),
     ("render", "environment_px", From(8.0, 4096.0)),
     ("render", "antialiasing", From(1.0, 32.0)),
     ("render", "shadow_map_px", From(16.0, 8192.0)),

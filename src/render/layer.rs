@@ -62,8 +62,7 @@ pub fn render(
     let (width, height) = (camera.intrinsics.width_px as usize, camera.intrinsics.height_px as usize);
     let side = antialiasing.max(1);
     let bvh = Bvh::new(&object.vertices, &object.triangles);
-    let [low, high] = object.bounds();
-    let scene = Scene { object, bvh: &bvh, offset: (high - low).length() * 1e-4 };
+    let scene = Scene::new(object, &bvh);
     let window = window(object, camera);
     let share = 1.0 / (side * side) as f32;
     let rows: Vec<Vec<Pixel>> = (window[1]..window[3])

@@ -9,6 +9,7 @@ mod normals;
 mod object;
 mod phong;
 mod placement;
+mod reflected;
 mod shade;
 
 pub use cells::Cells;
@@ -18,6 +19,7 @@ pub use load::load_object;
 pub use object::{Material, Object, Soup, Triangle};
 pub use phong::{Lobe, directional_albedo};
 pub use placement::{check_placement, world_from_object};
+pub use reflected::Reflector;
 pub use shade::{Lighting, Shadowed};
 
 /// Why an object cannot be rendered.

@@ -110,7 +110,20 @@ pub(super) struct Scene<'a> {
     pub offset: f32,
 }
 
-impl Scene<'_> {
+impl Sample {
+    /// A point of the surface that no camera looks at.
+    pub fn of_surface(position: Vec3, normal: Vec3) -> Self {
+        Self { position, normal, face_normal: normal, view: -normal, material: 0, depth: 0.0 }
+    }
+}
+
+impl<'a> Scene<'a> {
+    /// An object with its hierarchy.
+    pub fn new(object: &'a Object, bvh: &'a Bvh) -> Self {
+        let [low, high] = object.bounds();
+        Self { object, bvh, offset: (high - low).length() * 1e-4 }
+    }
+
     /// Shading and face normal of a triangle at barycentric weights, on the side of `-direction`.
     pub fn normals(&self, triangle: u32, weights: [f32; 3], direction: Vec3) -> (Vec3, Vec3) {
         let [a, b, c] = self.object.corners(triangle as usize);
@@ -167,17 +180,32 @@ fn gather(scene: &Scene, lighting: &Lighting, samples: &[Sample], rng: &mut Smal
     Gathered { visible, bounce: std::array::from_fn(|k| bounce[k] * visible[k]) }
 }
 
+impl Gathered {
+    /// Irradiance of a point with these surroundings.
+    fn irradiance(&self, lighting: &Lighting, sample: &Sample) -> [f32; 3] {
+        let open = (lighting.irradiance)(sample.position, sample.normal);
+        std::array::from_fn(|k| open[k].max(0.0) * self.visible[k] + self.bounce[k])
+    }
+}
+
+/// Irradiance of a point of the object, what the object hides from it and sends to it counted, plate units.
+pub(super) fn irradiance(
+    scene: &Scene,
+    lighting: &Lighting,
+    sample: &Sample,
+    rng: &mut SmallRng,
+) -> [f32; 3] {
+    gather(scene, lighting, std::slice::from_ref(sample), rng).irradiance(lighting, sample)
+}
+
 /// Mean radiance that the camera gets from a pixel's samples, plate units.
 pub(super) fn shade(scene: &Scene, lighting: &Lighting, samples: &[Sample], rng: &mut SmallRng) -> [f32; 3] {
     let gathered = gather(scene, lighting, samples, rng);
     let mut sum = [0.0f32; 3];
     for sample in samples {
         let material = &scene.object.materials[sample.material as usize];
-        let irradiance = (lighting.irradiance)(sample.position, sample.normal);
-        for k in 0..3 {
-            let e = irradiance[k].max(0.0) * gathered.visible[k] + gathered.bounce[k];
-            sum[k] += material.diffuse[k] / PI * e;
-        }
+        let irradiance = gathered.irradiance(lighting, sample);
+        (0..3).for_each(|k| sum[k] += material.diffuse[k] / PI * irradiance[k]);
         if let Some(lobe) =
             lighting.lobes.get(&material.shininess.to_bits()).filter(|_| material.is_specular())
         {

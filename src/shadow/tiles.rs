@@ -230,12 +230,6 @@ fn pixel(scene: &Scene, receivers: &Receivers, x: usize, y: usize) -> Result<Opt
         found: format!("patch {} has no transfers", receiver.patch),
         expected: format!("one of {} receiver patches", scene.transfers.receivers.patches.len()),
     })?;
-    let mut irradiance = [0.0; 3];
-    for (weight, vertex) in weights.iter().zip(vertices) {
-        for (c, sum) in irradiance.iter_mut().enumerate() {
-            *sum += weight * scene.transfers.irradiance[(vertex as usize, c)];
-        }
-    }
     Ok(Some(Pixel {
         position: receiver.position,
         normal: receiver.normal,
@@ -244,6 +238,6 @@ fn pixel(scene: &Scene, receivers: &Receivers, x: usize, y: usize) -> Result<Opt
         weights,
         patch: receiver.patch,
         index: (y * scene.plate.width() + x) as u32,
-        irradiance,
+        irradiance: scene.transfers.irradiance_at(vertices, weights),
     }))
 }

@@ -13,6 +13,7 @@ mod tree;
 
 use crate::error;
 use crate::illuminate::patch::LightModel;
+use crate::shadow::Receiver;
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
@@ -140,5 +141,19 @@ impl error::Problem for Problem {
             Self::NoRays => "set transfer.rays to 8 or more".into(),
             Self::Radiance { .. } => "run `insitu run --force --from illuminate`".into(),
         }
+    }
+}
+
+impl Transfers {
+    /// Irradiance of all light on what a pixel looks at, plate units; `None` where it is no receiver.
+    pub fn irradiance_on(&self, receiver: &Receiver) -> Option<[f32; 3]> {
+        let (vertices, weights) = self.receivers.locate(receiver.patch, receiver.barycentric)?;
+        Some(self.irradiance_at(vertices, weights))
+    }
+
+    /// Irradiance of all light between receiver vertices, plate units (see [`ReceiverMesh::locate`]).
+    pub fn irradiance_at(&self, vertices: [u32; 3], weights: [f32; 3]) -> [f32; 3] {
+        let at = |v: u32, k: usize| self.irradiance[(v as usize, k)];
+        std::array::from_fn(|k| weights.iter().zip(vertices).map(|(w, v)| w * at(v, k)).sum())
     }
 }
