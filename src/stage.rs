@@ -151,6 +151,8 @@ pub struct Workspace {
     pub base: PathBuf,
     /// Work folder.
     pub work: PathBuf,
+    /// Whether that is another one than the settings name.
+    pub elsewhere: bool,
     /// The settings.
     pub pipeline: Pipeline,
 }
@@ -164,7 +166,18 @@ impl Workspace {
             _ => PathBuf::from("."),
         };
         let work = base.join(&pipeline.work);
-        Ok(Self { settings_file: settings_file.to_path_buf(), base, work, pipeline })
+        Ok(Self { settings_file: settings_file.to_path_buf(), base, work, elsewhere: false, pipeline })
+    }
+
+    /// As [`Self::open`], with another work folder if one is given.
+    pub fn open_in(settings_file: &Path, work: Option<&Path>) -> Result<Self> {
+        let mut workspace = Self::open(settings_file)?;
+        if let Some(work) = work {
+            // Manifests name inputs from the settings' folder on: only a whole path stays the same from there.
+            workspace.work = std::path::absolute(work).at("looking for the work folder", work)?;
+            workspace.elsewhere = true;
+        }
+        Ok(workspace)
     }
 
     /// Folder of a stage's result.

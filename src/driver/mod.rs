@@ -3,7 +3,8 @@
 mod new;
 pub(crate) mod run;
 mod status;
-mod validate;
+pub(crate) mod truth;
+pub(crate) mod validate;
 
 use crate::bench;
 use crate::cli;
@@ -44,6 +45,22 @@ enum Command {
         /// Run even what is fresh.
         #[arg(long)]
         force: bool,
+        /// Work folder in the place of the one that the settings name.
+        #[arg(long, value_name = "DIR")]
+        work: Option<PathBuf>,
+    },
+    /// Put the truth of a rendered capture (`evaluate.truth`) in the place of stages' results: `insitu run --work DIR` goes
+    /// on from there.
+    Truth {
+        /// Settings file.
+        #[arg(default_value = "pipeline.toml")]
+        pipeline: PathBuf,
+        /// Which stages; the others up to the last of them run as ever.
+        #[arg(long, value_enum, value_delimiter = ',', default_values_t = truth::TrueStage::ALL)]
+        stages: Vec<truth::TrueStage>,
+        /// Work folder for the results.
+        #[arg(long, value_name = "DIR")]
+        work: PathBuf,
     },
     /// Say what is fresh, stale or missing, and why.
     Status {
@@ -91,9 +108,10 @@ fn start() -> ExitCode {
     let arguments = Arguments::parse();
     let printer = cli::printer(arguments.quiet, arguments.verbose);
     let outcome: Result<()> = match arguments.command {
-        Command::Run { pipeline, from, to, force } => {
-            run::run(&pipeline, &run::Range { from, to, force }, &printer)
+        Command::Run { pipeline, from, to, force, work } => {
+            run::run(&pipeline, work.as_deref(), &run::Range { from, to, force }, &printer)
         }
+        Command::Truth { pipeline, stages, work } => truth::truth(&pipeline, &work, &stages, &printer),
         Command::Status { pipeline } => status::status(&pipeline, &printer),
         Command::Validate { folders, jobs, force } => {
             match validate::validate(&folders, jobs, force, &printer) {
