@@ -77,6 +77,11 @@ impl Truth {
         })
     }
 
+    /// Name of the scene.
+    pub fn scene_name(&self) -> &str {
+        self.value["scene"].as_str().unwrap_or_default()
+    }
+
     /// Name of the photograph to augment.
     pub fn plate_file(&self) -> Result<&str, Problem> {
         self.image("")?["file"].as_str().ok_or(Problem::Shape("images.file".into()))
