@@ -254,6 +254,8 @@ settings! {
         source_share: f64 = 0.7,
         /// Visibility rays for each pair of source and receiver vertex.
         rays: usize = 8,
+        /// Sources are stored as one where their average shares misattribute at most this share of a vertex's irradiance.
+        link_tolerance: f64 = 0.001,
     }
 }
 

@@ -54,7 +54,7 @@ pub const STAGES: &[Stage] = &[
     Stage { name: "irradiance", version: 2, reads: &["illuminate"], about: "build the irradiance volume" },
     Stage {
         name: "transfer",
-        version: 1,
+        version: 2,
         reads: &["calibrate", "illuminate"],
         about: "radiance transfers from sources to receivers",
     },

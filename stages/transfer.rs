@@ -32,9 +32,13 @@ fn main() -> std::process::ExitCode {
         ctx.figure("sources", transfers.sources.len());
         ctx.figure("sources_left_out", transfers.left_out);
         ctx.figure("left_out_share", transfers.left_out_share);
-        ctx.figure("strongest_source_share", transfers.sources.first().map_or(0.0, |s| s.power_share));
-        ctx.figure("receiver_patches", transfers.receiver_patches.len());
-        ctx.figure("receiver_vertices", transfers.receiver_vertices.len());
+        ctx.figure(
+            "strongest_source_share",
+            transfers.sources.iter().map(|s| s.power_share).fold(0.0, f64::max),
+        );
+        ctx.figure("receiver_patches", transfers.receivers.patches.len());
+        ctx.figure("receiver_vertices", transfers.receivers.positions.len());
+        ctx.figure("links", transfers.links.node.len());
         transfers.write(&ctx.output(""))
     })
 }

@@ -7,6 +7,7 @@ use insitu::config::{Render, ShadowMethod, Transfer};
 use insitu::illuminate::patch::{DistantSource, LightModel};
 use insitu::image::RadianceImage;
 use insitu::shadow::{Occluder, Problem, removed_radiance};
+use insitu::transfer::{Links, SourceNode, SourceTree, Transfers};
 use room::{Stage, blob, camera, cuboid, errors, stage};
 
 fn at(x: f32, y: f32, z: f32) -> Vec3 {
@@ -99,6 +100,27 @@ fn floor_under(distant: Vec<DistantSource>) -> Stage {
     Stage::new(light, &camera, &Transfer { source_share: 1.0, ..Default::default() })
 }
 
+/// The transfers of one source.
+fn only(transfers: &Transfers, source: usize) -> Transfers {
+    let vertices = transfers.receivers.positions.len() as u32;
+    let mut row = vec![[0.0; 3]; transfers.sources.len()];
+    let irradiance = (0..vertices).map(|v| {
+        transfers.expand(v, &mut row);
+        row[source]
+    });
+    let mean = transfers.sources[source].mean;
+    Transfers {
+        sources: vec![transfers.sources[source]],
+        links: Links {
+            first: (0..=vertices).collect(),
+            node: vec![0; vertices as usize],
+            irradiance: irradiance.collect(),
+        },
+        tree: SourceTree { nodes: vec![SourceNode { leaves: 0..1, children: None, mean }] },
+        ..transfers.clone()
+    }
+}
+
 #[test]
 fn a_thousand_faint_lights_sum_in_f32_as_in_f64() {
     let distant: Vec<_> = (0..1000)
@@ -115,9 +137,7 @@ fn a_thousand_faint_lights_sum_in_f32_as_in_f64() {
     let all = removed_radiance(&stage.scene(), &object, &settings).unwrap().epsilon;
     let mut sum = vec![0.0f64; all.pixels().len()];
     for source in 0..stage.transfers.sources.len() {
-        let mut one = stage.transfers.clone();
-        one.sources = vec![one.sources[source]];
-        one.transfer = one.transfer.slice(ndarray::s![source..=source, ..]).to_owned();
+        let one = only(&stage.transfers, source);
         let scene = insitu::shadow::Scene { transfers: &one, ..stage.scene() };
         let part: RadianceImage = removed_radiance(&scene, &object, &settings).unwrap().epsilon;
         part.pixels().iter().zip(&mut sum).for_each(|(p, s)| *s += f64::from(p.0[0]));

@@ -1,15 +1,39 @@
-//! Large arrays as `.npy`, little-endian f32.
+//! Large arrays as `.npy`, little-endian.
 
 use super::remake;
 use crate::error::{Error, FileContext, Result};
-use ndarray::Array2;
-use ndarray_npy::{ReadNpyExt, WriteNpyError, WriteNpyExt};
+use ndarray::{Array, Dimension};
+use ndarray_npy::{ReadNpyExt, ReadableElement, WritableElement, WriteNpyError, WriteNpyExt};
 use std::fs::File;
 use std::io::{BufReader, BufWriter, Write};
 use std::path::Path;
 
-/// Writes a matrix, row-major.
-pub fn write(path: &Path, array: &Array2<f32>) -> Result<()> {
+/// What arrays are made of.
+pub trait Element: ReadableElement + WritableElement + std::fmt::Display {
+    /// Whether a reader may trust it: no NaN, no infinity.
+    fn is_sound(&self) -> bool;
+}
+
+impl Element for f32 {
+    fn is_sound(&self) -> bool {
+        self.is_finite()
+    }
+}
+
+impl Element for f64 {
+    fn is_sound(&self) -> bool {
+        self.is_finite()
+    }
+}
+
+impl Element for u32 {
+    fn is_sound(&self) -> bool {
+        true
+    }
+}
+
+/// Writes an array, row-major.
+pub fn write<T: Element, D: Dimension>(path: &Path, array: &Array<T, D>) -> Result<()> {
     let mut file = BufWriter::new(File::create(path).at("writing", path)?);
     array
         .write_npy(&mut file)
@@ -21,12 +45,12 @@ pub fn write(path: &Path, array: &Array2<f32>) -> Result<()> {
     file.flush().at("writing", path)
 }
 
-/// Reads a matrix; refuses damaged files and values that are not finite.
-pub fn read(path: &Path) -> Result<Array2<f32>> {
+/// Reads an array; refuses damaged files, another number of dimensions, and values that are not finite.
+pub fn read<T: Element, D: Dimension>(path: &Path) -> Result<Array<T, D>> {
     let file = BufReader::new(File::open(path).at("reading", path)?);
     let refuse = |problem: String| Error::file("reading an array", path, problem, remake(path));
-    let array = Array2::<f32>::read_npy(file).map_err(|e| refuse(format!("damaged or cut short ({e})")))?;
-    if let Some((at, value)) = array.indexed_iter().find(|(_, v)| !v.is_finite()) {
+    let array = Array::<T, D>::read_npy(file).map_err(|e| refuse(format!("damaged or cut short ({e})")))?;
+    if let Some((at, value)) = array.indexed_iter().find(|(_, v)| !v.is_sound()) {
         return Err(refuse(format!("is {value} at {at:?}")));
     }
     Ok(array)

@@ -65,6 +65,7 @@ const RANGES: &[(&str, &str, Range)] = &[
     ("irradiance", "rays", From(16.0, 1e6)),
     ("transfer", "source_share", Above(0.0, 1.0)),
     ("transfer", "rays", From(1.0, 4096.0)),
+    ("transfer", "link_tolerance", From(0.0, 0.1)),
     ("render", "position_m", From(-1000.0, 1000.0)),
     ("render", "rotation_deg", From(-36_000.0, 36_000.0)),
     ("render", "scale", Above(0.0, 1e6)),

@@ -12,10 +12,11 @@ mod tiles;
 
 use crate::config::{Backend, Render, ShadowMethod};
 use crate::illuminate::patch::LightModel;
-use crate::image::RadianceImage;
+use crate::image::{RadianceImage, luminance};
 use crate::transfer::{SourceKind, Transfers};
 use crate::{error, gpu};
 use glam::Vec3;
+use ndarray::Array2;
 
 pub use projection::{Bounds, MapPlan, Projection, ShadowOrigin, plan};
 pub use radiance_transfer::RadianceTransfer;
@@ -184,15 +185,38 @@ impl Scene<'_> {
         Ok(())
     }
 
-    /// How many of the source set the settings ask for.
-    pub(crate) fn source_count(&self, settings: &Render) -> usize {
-        let all = self.transfers.sources.len();
-        if settings.max_sources == 0 { all } else { settings.max_sources.min(all) }
+    /// Indices of the sources that the settings ask for, strongest first.
+    pub(crate) fn chosen(&self, settings: &Render) -> Vec<usize> {
+        let share = |i: usize| self.transfers.sources[i].power_share;
+        let mut order: Vec<usize> = (0..self.transfers.sources.len()).collect();
+        order.sort_by(|&a, &b| share(b).total_cmp(&share(a)));
+        if settings.max_sources > 0 {
+            order.truncate(settings.max_sources);
+        }
+        order
     }
 
-    /// Share of the receivers' light that does not come from the `count` strongest sources.
-    pub(crate) fn left_out_share(&self, count: usize) -> f64 {
-        let rest: f64 = self.transfers.sources[count..].iter().map(|s| s.power_share).sum();
-        rest + self.transfers.left_out_share
+    /// Irradiance per unit radiance of some sources, sr, [sources × receiver vertices].
+    pub(crate) fn transfer(&self, sources: &[usize]) -> Array2<f32> {
+        let all = &self.transfers.sources;
+        let vertices = self.transfers.receivers.positions.len();
+        let mut out = Array2::zeros((sources.len(), vertices));
+        let radiance: Vec<f32> = sources.iter().map(|&j| luminance(all[j].radiance(self.light))).collect();
+        let mut row = vec![[0.0; 3]; all.len()];
+        for v in 0..vertices {
+            self.transfers.expand(v as u32, &mut row);
+            for (i, &j) in sources.iter().enumerate() {
+                out[(i, v)] = luminance(row[j]) / radiance[i];
+            }
+        }
+        out
+    }
+
+    /// Share of the receivers' light that does not come from some sources.
+    pub(crate) fn left_out_share(&self, sources: &[usize]) -> f64 {
+        let all = &self.transfers.sources;
+        let rest = all.iter().map(|s| s.power_share).sum::<f64>()
+            - sources.iter().map(|&j| all[j].power_share).sum::<f64>();
+        rest.max(0.0) + self.transfers.left_out_share
     }
 }

@@ -37,19 +37,14 @@ enum Mask {
 impl RadianceTransfer {
     /// Everything that does not depend on the object.
     pub fn prepare(scene: &Scene, settings: &Render) -> Result<Self, Problem> {
-        let count = scene.source_count(settings);
-        let sources = scene.transfers.sources[..count].to_vec();
+        let chosen = scene.chosen(settings);
+        let sources: Vec<Source> = chosen.iter().map(|&j| scene.transfers.sources[j]).collect();
         Ok(Self {
             prepared: Prepared::new(scene, settings)?,
             radiance: sources.iter().map(|s| s.radiance(scene.light)).collect(),
-            transfer: scene
-                .transfers
-                .transfer
-                .slice(ndarray::s![..count, ..])
-                .as_standard_layout()
-                .into_owned(),
+            transfer: scene.transfer(&chosen),
             light: scene.light.clone(),
-            left_out_share: scene.left_out_share(count),
+            left_out_share: scene.left_out_share(&chosen),
             sources,
             size: settings.shadow_map_px,
             max_angle: max_angle(settings)?,

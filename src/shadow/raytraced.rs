@@ -85,20 +85,21 @@ pub fn raytraced(scene: &Scene, occluder: &Occluder, settings: &Render) -> Resul
             }
         }
     }
-    let count = scene.source_count(settings);
+    let chosen = scene.chosen(settings);
     Ok(Removed {
         epsilon: RadianceImage::from_pixels(width, height, epsilon),
         noise: Some(if signal > 0.0 { (error / signal).sqrt() } else { 0.0 }),
-        sources_used: count,
+        sources_used: chosen.len(),
         shadow_maps: 0,
-        left_out_share: scene.left_out_share(count),
+        left_out_share: scene.left_out_share(&chosen),
     })
 }
 
 impl<'a> Tracer<'a> {
     fn new(scene: &Scene, occluder: &Occluder, settings: &'a Render) -> Self {
         let mesh = &scene.light.mesh;
-        let sources = &scene.transfers.sources[..scene.source_count(settings)];
+        let chosen = scene.chosen(settings);
+        let sources = chosen.iter().map(|&j| &scene.transfers.sources[j]);
         let shape = |kind| match kind {
             SourceKind::Patch(i) => {
                 let i = i as usize;
@@ -112,11 +113,9 @@ impl<'a> Tracer<'a> {
                 Shape::Distant { direction: d.direction, solid_angle: d.solid_angle_sr, angular_radius }
             }
         };
-        let lights: Vec<Light> = sources
-            .iter()
-            .map(|s| Light { shape: shape(s.kind), radiance: s.radiance(scene.light) })
-            .collect();
-        let transfer = &scene.transfers.transfer;
+        let lights: Vec<Light> =
+            sources.map(|s| Light { shape: shape(s.kind), radiance: s.radiance(scene.light) }).collect();
+        let transfer = scene.transfer(&chosen);
         let weights = (0..transfer.ncols())
             .map(|v| {
                 lights.iter().enumerate().map(|(j, l)| luminance(l.radiance) * transfer[(j, v)]).collect()

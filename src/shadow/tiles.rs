@@ -1,9 +1,8 @@
 //! The static side of a frame: receiver pixels in square tiles, with their columns of the transfers.
 
-use super::{Problem, Receivers, Scene};
+use super::{Problem, Scene};
 use crate::config::Render;
 use crate::image::{Radiance, RadianceImage};
-use crate::transfer::NO_COLUMN;
 use glam::{Vec2, Vec3};
 
 /// Side of a tile, px.
@@ -16,8 +15,9 @@ pub(crate) struct Pixel {
     pub normal: Vec3,
     /// One pixel to the right and one down on the surface, m.
     pub footprint: [Vec3; 2],
+    /// Their weights.
     pub barycentric: [f32; 3],
-    /// Columns of the transfers for the patch's vertices.
+    /// Receiver vertices around it.
     pub columns: [u32; 3],
     /// Index into the plate.
     pub index: u32,
@@ -78,7 +78,6 @@ impl Prepared {
             let value = settings.shadow_map_px.to_string();
             return Err(Problem::Setting { name: "shadow_map_px", value, range: "between 16 and 8192" });
         }
-        let columns = scene.transfers.columns(scene.light.mesh.vertices.len());
         let (width, height) = scene.plate.size();
         let (mut pixels, mut tiles) = (Vec::new(), Vec::new());
         for y in (0..height).step_by(TILE_PX) {
@@ -87,7 +86,7 @@ impl Prepared {
                 for (y, x) in (y..height.min(y + TILE_PX))
                     .flat_map(|y| (x..width.min(x + TILE_PX)).map(move |x| (y, x)))
                 {
-                    pixels.extend(pixel(scene, scene.receivers, &columns, x, y)?);
+                    pixels.extend(pixel(scene, x, y)?);
                 }
                 tiles.extend(tile(&pixels, start));
             }
@@ -107,26 +106,17 @@ impl Prepared {
     }
 }
 
-fn pixel(
-    scene: &Scene,
-    receivers: &Receivers,
-    columns: &[u32],
-    x: usize,
-    y: usize,
-) -> Result<Option<Pixel>, Problem> {
-    let Some(receiver) = receivers.pixels.at(x, y) else { return Ok(None) };
-    let mismatch = || Problem::Mismatch {
-        what: "patch seen by the plate",
-        found: format!("patch {} has no transfers", receiver.patch),
-        expected: format!("one of {} receiver patches", scene.transfers.receiver_patches.len()),
-    };
-    let patch = scene.light.mesh.patches.get(receiver.patch as usize).ok_or_else(mismatch)?;
-    let columns = patch.vertices.map(|v| columns.get(v as usize).copied().unwrap_or(NO_COLUMN));
-    if columns.contains(&NO_COLUMN) {
-        return Err(mismatch());
-    }
+fn pixel(scene: &Scene, x: usize, y: usize) -> Result<Option<Pixel>, Problem> {
+    let Some(receiver) = scene.receivers.pixels.at(x, y) else { return Ok(None) };
+    let mesh = &scene.transfers.receivers;
+    let (columns, barycentric) =
+        mesh.locate(receiver.patch, receiver.barycentric).ok_or_else(|| Problem::Mismatch {
+            what: "patch seen by the plate",
+            found: format!("patch {} has no transfers", receiver.patch),
+            expected: format!("one of {} receiver patches", mesh.patches.len()),
+        })?;
     let mut irradiance = [0.0; 3];
-    for (weight, column) in receiver.barycentric.iter().zip(columns) {
+    for (weight, column) in barycentric.iter().zip(columns) {
         for (c, sum) in irradiance.iter_mut().enumerate() {
             *sum += weight * scene.transfers.irradiance[(column as usize, c)];
         }
@@ -135,7 +125,7 @@ fn pixel(
         position: receiver.position,
         normal: receiver.normal,
         footprint: receiver.footprint,
-        barycentric: receiver.barycentric,
+        barycentric,
         columns,
         index: (y * scene.plate.width() + x) as u32,
         irradiance,

@@ -1,14 +1,25 @@
 //! Radiance transfers from sources to receiver vertices (Gibson et al. 2003, §5).
 
+pub mod boxes;
 pub mod form_factor;
+mod lights;
+mod links;
+mod receivers;
 pub mod sampling;
+mod shafts;
 mod solve;
 mod storage;
+mod tree;
 
 use crate::error;
 use crate::illuminate::patch::LightModel;
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
+use std::ops::Range;
+
+pub use links::Links;
+pub use receivers::{ReceiverMesh, ReceiverTriangle};
+pub use shafts::{Affected, ShaftHierarchy};
 pub use solve::solve;
 
 /// Which light a source is.
@@ -28,6 +39,8 @@ pub struct Source {
     pub kind: SourceKind,
     /// Its share of all light that reaches the receivers, 0..1.
     pub power_share: f64,
+    /// Luminance of the irradiance that it sends, averaged over the receivers' area, plate units.
+    pub mean: f64,
 }
 
 impl Source {
@@ -41,39 +54,43 @@ impl Source {
 }
 
 /// The source set, and what each source sends to each receiver vertex.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Transfers {
-    /// The source set, strongest first.
+    /// The source set, in the order of the tree's leaves.
     pub sources: Vec<Source>,
-    /// Patches that the plate's camera sees, ascending.
-    pub receiver_patches: Vec<u32>,
-    /// Mesh vertices of those patches, ascending: the columns of [`Self::transfer`].
-    pub receiver_vertices: Vec<u32>,
-    /// Irradiance per unit radiance with the static scene's visibility, sr, [sources × receiver vertices].
-    pub transfer: Array2<f32>,
+    /// Clusters of sources; `nodes[0]` is the root.
+    pub tree: SourceTree,
+    /// Where transfers are known.
+    pub receivers: ReceiverMesh,
+    /// Sparse transfers by receiver vertex.
+    pub links: Links,
     /// Irradiance from all patches and all distant light, in the source set or not, plate units,
     /// [receiver vertices × 3].
     pub irradiance: Array2<f32>,
+    /// Which sources and receivers a box may part (gibson §6).
+    pub shafts: ShaftHierarchy,
     /// Number of lights that are not in the source set.
     pub left_out: usize,
     /// Their share of all light that reaches the receivers: a bound on the part of a shadow that is missing.
     pub left_out_share: f64,
 }
 
-/// Column of [`Transfers::transfer`] for a mesh vertex; [`NO_COLUMN`] where it is no receiver.
-pub const NO_COLUMN: u32 = u32::MAX;
+/// Binary tree over the source set.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct SourceTree {
+    /// The root first, children after their parents.
+    pub nodes: Vec<SourceNode>,
+}
 
-impl Transfers {
-    /// For every mesh vertex its column, or [`NO_COLUMN`].
-    pub fn columns(&self, mesh_vertices: usize) -> Vec<u32> {
-        let mut columns = vec![NO_COLUMN; mesh_vertices];
-        for (column, &vertex) in self.receiver_vertices.iter().enumerate() {
-            if let Some(slot) = columns.get_mut(vertex as usize) {
-                *slot = column as u32;
-            }
-        }
-        columns
-    }
+/// A cluster of sources.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SourceNode {
+    /// Indices of the sources below.
+    pub leaves: Range<u32>,
+    /// Indices of the nodes below; `None`: one source.
+    pub children: Option<[u32; 2]>,
+    /// Luminance of the irradiance that it sends, averaged over the receivers' area, plate units (gibson §7.1.1).
+    pub mean: f64,
 }
 
 /// Why there are no transfers.

@@ -1,7 +1,12 @@
 //! Computes the transfers: exact form factors times ray-cast visibility.
 
+use super::lights::Light;
+use super::links::{Cutter, Entry};
 use super::sampling::{Shift, in_cap, on_triangle};
-use super::{Problem, Source, SourceKind, Transfers, form_factor};
+use super::tree::LightTree;
+use super::{
+    Links, Problem, ReceiverMesh, ShaftHierarchy, Source, SourceKind, SourceTree, Transfers, form_factor,
+};
 use crate::config;
 use crate::illuminate::patch::{DistantSource, LightModel, PatchMesh};
 use crate::image::luminance;
@@ -25,7 +30,7 @@ const BEYOND_M: f32 = 1e5;
 struct Vertex {
     position: Vec3,
     normal: Vec3,
-    /// A third of the area of the receiver patches around it, m².
+    /// A third of the area of the receiver triangles around it, m².
     area: f64,
 }
 
@@ -47,24 +52,15 @@ pub fn solve(
     if patches.is_empty() {
         return Err(Problem::NoReceiver { patches: mesh.patches.len() });
     }
-    let ids: BTreeSet<u32> = patches.iter().flat_map(|&p| mesh.patches[p as usize].vertices).collect();
-    let ids: Vec<u32> = ids.into_iter().collect();
-    let vertices = receiver_vertices(mesh, &patches, &ids);
+    let receivers = ReceiverMesh::new(mesh, patches.into_iter().collect());
+    let vertices = receiver_vertices(mesh, &receivers);
     let bvh = Bvh::new(&mesh.vertices, &mesh.triangles());
 
-    let kinds: Vec<SourceKind> = (0..mesh.patches.len() as u32)
-        .map(SourceKind::Patch)
-        .chain((0..light.distant.len() as u32).map(SourceKind::Distant))
-        .collect();
-    let lights: Vec<(SourceKind, [f32; 3])> = kinds
-        .into_iter()
-        .map(|kind| (kind, Source { kind, power_share: 0.0 }.radiance(light)))
-        .filter(|(_, radiance)| radiance.iter().any(|&c| c > 0.0))
-        .collect();
+    let lights = Light::all(light);
     let rows: Vec<Vec<f32>> = lights
         .par_iter()
-        .map(|&(kind, _)| {
-            let row = match kind {
+        .map(|l| {
+            let row = match l.kind {
                 SourceKind::Patch(i) => patch_row(mesh, i as usize, &vertices, &bvh, settings.rays as u32),
                 SourceKind::Distant(i) => {
                     distant_row(&light.distant[i as usize], i, &vertices, &bvh, settings.rays as u32)
@@ -78,9 +74,9 @@ pub fn solve(
     let power: Vec<f64> = lights
         .iter()
         .zip(&rows)
-        .map(|((_, radiance), row)| {
+        .map(|(l, row)| {
             let received: f64 = row.iter().zip(&vertices).map(|(&g, v)| f64::from(g) * v.area).sum();
-            received * f64::from(luminance(*radiance))
+            received * f64::from(luminance(l.radiance))
         })
         .collect();
     let total: f64 = power.iter().sum();
@@ -89,12 +85,39 @@ pub fn solve(
     }
     let set = strongest(&power, settings.source_share);
     let share: f64 = set.iter().map(|&i| power[i]).sum::<f64>() / total;
+    let members: Vec<Light> = set.iter().map(|&i| lights[i]).collect();
+    let light_tree = LightTree::build(&members);
+    let area: f64 = vertices.iter().map(|v| v.area).sum();
+    let ordered: Vec<usize> = light_tree.order.iter().map(|&i| set[i as usize]).collect();
+    let sources: Vec<Source> = ordered
+        .iter()
+        .map(|&i| Source { kind: lights[i].kind, power_share: power[i] / total, mean: power[i] / area })
+        .collect();
+    let tree = SourceTree::of(&light_tree, &sources);
+    let irradiance = total_irradiance(&lights, &rows, vertices.len());
+    let cutter = Cutter { tree: &tree, tolerance: settings.link_tolerance };
+    let mut leaves = vec![0; sources.len()];
+    for (node, i) in tree.nodes.iter().zip(0..).filter(|(n, _)| n.children.is_none()) {
+        leaves[node.leaves.start as usize] = i;
+    }
+    let cuts: Vec<Vec<Entry>> = (0..vertices.len())
+        .map(|v| {
+            let fine: Vec<Entry> = ordered
+                .iter()
+                .zip(&leaves)
+                .filter(|&(&i, _)| rows[i][v] > 0.0)
+                .map(|(&i, &leaf)| (leaf, lights[i].radiance.map(|c| c * rows[i][v])))
+                .collect();
+            cutter.coarsen(&fine, f64::from(luminance([0, 1, 2].map(|c| irradiance[(v, c)]))))
+        })
+        .collect();
     Ok(Transfers {
-        sources: set.iter().map(|&i| Source { kind: lights[i].0, power_share: power[i] / total }).collect(),
-        receiver_patches: patches.into_iter().collect(),
-        transfer: Array2::from_shape_fn((set.len(), ids.len()), |(s, v)| rows[set[s]][v]),
-        irradiance: total_irradiance(&lights, &rows, ids.len()),
-        receiver_vertices: ids,
+        links: Links::of(&cuts),
+        sources,
+        tree,
+        receivers,
+        irradiance,
+        shafts: ShaftHierarchy::default(),
         left_out: power.iter().filter(|&&p| p > 0.0).count() - set.len(),
         left_out_share: (1.0 - share).max(0.0),
     })
@@ -132,25 +155,23 @@ fn strongest(power: &[f64], share: f64) -> Vec<usize> {
     order
 }
 
-fn receiver_vertices(mesh: &PatchMesh, receivers: &BTreeSet<u32>, ids: &[u32]) -> Vec<Vertex> {
-    let mut middle = vec![(Vec3::ZERO, 0.0f32); mesh.vertices.len()];
-    let mut area = vec![0.0f64; mesh.vertices.len()];
-    for (i, patch) in mesh.patches.iter().enumerate() {
-        for v in patch.vertices {
+fn receiver_vertices(mesh: &PatchMesh, receivers: &ReceiverMesh) -> Vec<Vertex> {
+    let mut middle = vec![(Vec3::ZERO, 0.0f32); receivers.positions.len()];
+    for t in &receivers.triangles {
+        let centroid = mesh.centroid(t.patch as usize);
+        for v in t.vertices {
             let slot = &mut middle[v as usize];
-            *slot = (slot.0 + mesh.centroid(i), slot.1 + 1.0);
-            if receivers.contains(&(i as u32)) {
-                area[v as usize] += f64::from(mesh.area(i)) / 3.0;
-            }
+            *slot = (slot.0 + centroid, slot.1 + 1.0);
         }
     }
-    let vertex = |&id: &u32| {
-        let (position, normal) = (mesh.vertices[id as usize], mesh.normals[id as usize]);
-        let (sum, count) = middle[id as usize];
+    let areas = receivers.vertex_areas();
+    let vertex = |v: usize| {
+        let (position, normal) = (receivers.positions[v], receivers.normals[v]);
+        let (sum, count) = middle[v];
         let inset = (sum / count - position) * INSET;
-        Vertex { position: position + inset + normal * OFFSET_M, normal, area: area[id as usize] }
+        Vertex { position: position + inset + normal * OFFSET_M, normal, area: areas[v] }
     };
-    ids.iter().map(vertex).collect()
+    (0..receivers.positions.len()).map(vertex).collect()
 }
 
 fn patch_row(mesh: &PatchMesh, patch: usize, vertices: &[Vertex], bvh: &Bvh, rays: u32) -> Vec<f32> {
@@ -210,12 +231,12 @@ fn visible_share(rays: u32, sample: impl Fn(u32) -> (f32, Vec3), visible: impl F
     if all > 0.0 { seen / all } else { 0.0 }
 }
 
-fn total_irradiance(lights: &[(SourceKind, [f32; 3])], rows: &[Vec<f32>], vertices: usize) -> Array2<f32> {
+fn total_irradiance(lights: &[Light], rows: &[Vec<f32>], vertices: usize) -> Array2<f32> {
     let mut sums = vec![[0.0f64; 3]; vertices];
-    for ((_, radiance), row) in lights.iter().zip(rows) {
+    for (light, row) in lights.iter().zip(rows) {
         for (sum, &g) in sums.iter_mut().zip(row) {
             for c in 0..3 {
-                sum[c] += f64::from(radiance[c]) * f64::from(g);
+                sum[c] += f64::from(light.radiance[c]) * f64::from(g);
             }
         }
     }

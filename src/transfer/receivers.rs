@@ -1,0 +1,114 @@
+//! Where transfers are known: the patches that the plate sees, split where the scene's own shadows fall.
+
+use crate::illuminate::patch::PatchMesh;
+use glam::Vec3;
+
+/// A triangle between receiver vertices.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ReceiverTriangle {
+    /// Indices into [`ReceiverMesh::positions`], counter-clockwise seen from the front.
+    pub vertices: [u32; 3],
+    /// Index into [`PatchMesh::patches`] of the patch that it is a part of.
+    pub patch: u32,
+}
+
+/// A patch or a part of one, and how it is bisected further.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Part {
+    pub vertices: [u32; 3],
+    pub split: Option<Split>,
+}
+
+/// Edge `edge` (from corner `edge` to the next) is halved; the parts lie at `first` (which keeps the edge's start) and
+/// `first + 1` (which keeps its end) and have the corners in the same places, the edge's other end replaced by its middle.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Split {
+    pub edge: u8,
+    pub first: u32,
+}
+
+/// Triangles over all receiver patches.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct ReceiverMesh {
+    /// Positions in the world, m.
+    pub positions: Vec<Vec3>,
+    /// Unit normals of the faces that the vertices lie on.
+    pub normals: Vec<Vec3>,
+    /// Triangles that are not split further, patch by patch.
+    pub triangles: Vec<ReceiverTriangle>,
+    /// Receiver patches, ascending.
+    pub patches: Vec<u32>,
+    /// The patches in the same order, then the parts of them.
+    pub(super) parts: Vec<Part>,
+}
+
+impl ReceiverMesh {
+    /// The given patches (ascending), not yet split.
+    pub fn new(mesh: &PatchMesh, patches: Vec<u32>) -> Self {
+        let mut ids: Vec<u32> = patches.iter().flat_map(|&p| mesh.patches[p as usize].vertices).collect();
+        ids.sort_unstable();
+        ids.dedup();
+        let mut vertex_of = vec![u32::MAX; mesh.vertices.len()];
+        ids.iter().zip(0..).for_each(|(&id, v)| vertex_of[id as usize] = v);
+        let part = |&p: &u32| {
+            let vertices = mesh.patches[p as usize].vertices.map(|v| vertex_of[v as usize]);
+            Part { vertices, split: None }
+        };
+        let mut receivers = Self {
+            positions: ids.iter().map(|&id| mesh.vertices[id as usize]).collect(),
+            normals: ids.iter().map(|&id| mesh.normals[id as usize]).collect(),
+            triangles: Vec::new(),
+            parts: patches.iter().map(part).collect(),
+            patches,
+        };
+        receivers.list_triangles();
+        receivers
+    }
+
+    /// Remakes [`Self::triangles`] after splits.
+    pub(super) fn list_triangles(&mut self) {
+        self.triangles.clear();
+        let mut below = Vec::new();
+        for (root, &patch) in self.patches.iter().enumerate() {
+            below.push(root as u32);
+            while let Some(i) = below.pop() {
+                let part = self.parts[i as usize];
+                match part.split {
+                    None => self.triangles.push(ReceiverTriangle { vertices: part.vertices, patch }),
+                    Some(split) => below.extend([split.first + 1, split.first]),
+                }
+            }
+        }
+    }
+
+    /// Receiver vertices around a point of a patch and their weights (sum 1, as those given). `None`: the patch is no
+    /// receiver.
+    pub fn locate(&self, patch: u32, barycentric: [f32; 3]) -> Option<([u32; 3], [f32; 3])> {
+        let mut part = &self.parts[self.patches.binary_search(&patch).ok()?];
+        let mut weights = barycentric;
+        while let Some(Split { edge, first }) = part.split {
+            let (start, end) = (edge as usize, (edge as usize + 1) % 3);
+            let (a, b) = (weights[start], weights[end]);
+            // w_a A + w_b B with the middle M = (A + B) / 2.
+            if a >= b {
+                (weights[start], weights[end]) = (a - b, 2.0 * b);
+                part = &self.parts[first as usize];
+            } else {
+                (weights[start], weights[end]) = (2.0 * a, b - a);
+                part = &self.parts[first as usize + 1];
+            }
+        }
+        Some((part.vertices, weights))
+    }
+
+    /// A third of the area of the triangles around each vertex, m².
+    pub fn vertex_areas(&self) -> Vec<f64> {
+        let mut areas = vec![0.0; self.positions.len()];
+        for t in &self.triangles {
+            let [a, b, c] = t.vertices.map(|v| self.positions[v as usize]);
+            let third = f64::from((b - a).cross(c - a).length()) / 6.0;
+            t.vertices.iter().for_each(|&v| areas[v as usize] += third);
+        }
+        areas
+    }
+}
