@@ -5,6 +5,7 @@ use super::breakdown::true_workspace;
 use super::{Static, triptych};
 use crate::artefact::{exr, json};
 use crate::composite::composite;
+use crate::config::Render;
 use crate::driver::validate;
 use crate::error::{Context as _, Error, Result};
 use crate::evaluate::references::{reference_in, truth_at};
@@ -22,6 +23,9 @@ use std::time::Instant;
 /// at 64 samples (7–12 s) with the true camera, geometry and light, object on the floor (DESIGN.md §8).
 const RENDERERS: [(&str, f64, f64); 3] =
     [("office", 0.12, 0.16), ("tablelamp", 0.41, 0.09), ("sunlit", 0.025, 0.04)];
+
+/// Rays per pixel of the ray-traced column: their noise is far below the errors shown.
+const RAYS: usize = 64;
 
 /// A settings file with true stages, run, and what it is to be compared with.
 pub(super) struct Judged {
@@ -110,7 +114,7 @@ pub(super) fn print(settings: &[PathBuf], pictures: Option<&Path>, printer: &Pri
     let width = settings.iter().map(|s| validate::name(s).len()).max().unwrap_or(0).max(7);
     printer.data(&format!(
         "{:<width$}{:>22}{:>24}{:>8}{:>14}{:>8}{:>9}",
-        "capture", "radiance-transfer", "raytraced", "noise", "depth", "Cycles", "Mitsuba"
+        "capture", "radiance-transfer", format!("raytraced, {RAYS}"), "noise", "depth", "Cycles", "Mitsuba"
     ));
     for file in settings {
         let judged = Judged::read(file)?;
@@ -119,7 +123,8 @@ pub(super) fn print(settings: &[PathBuf], pictures: Option<&Path>, printer: &Pri
         let took = workspace.manifest("render")?.figures.get("shadow_s").and_then(|v| v.as_f64());
         let ours = judged.verdict(&ours)?;
         let started = Instant::now();
-        let traced = shadow::raytraced(&judged.statics.scene(), &judged.statics.occluder(), &workspace.pipeline.render)
+        let settings = Render { rays: RAYS, ..workspace.pipeline.render.clone() };
+        let traced = shadow::raytraced(&judged.statics.scene(), &judged.statics.occluder(), &settings)
             .doing("tracing the shadow")?;
         let traced_s = started.elapsed().as_secs_f64();
         let traced = judged.verdict(&traced.epsilon)?;
