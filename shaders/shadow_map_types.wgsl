@@ -4,7 +4,7 @@
 struct Frame {
     maps: u32,     // maps in this batch
     pixels: u32,   // receiver pixels
-    columns: u32,  // receiver vertices: length of a row of transfers
+    clusters: u32, // of sources: length of a row of transfers
     padding: u32,
 }
 
@@ -12,9 +12,9 @@ struct ShadowMap {
     map_from_world: mat4x4<f32>,  // to (column·w, row·w, depth·w, w)
     planes: mat4x4<f32>,          // its inverse transpose
     sides: array<vec4<f32>, 5>,   // planes around what it can shadow; inside gives at least 0, m
-    radiance: vec3<f32>,          // of the source, times the map's share of the transfer
-    row: u32,                     // row of transfers
     offset: vec2<f32>,            // where in a pixel it is looked up, px from the centre
+    weight: f32,                  // its share of its cluster's light
+    cluster: u32,                 // column of transfers
     size: u32,                    // side, texels, at most that of its layer
-    padding: u32,
+    padding: array<u32, 3>,
 }

@@ -1,14 +1,14 @@
-// Irradiance that the occluder blocks at each receiver pixel: Σ_j L_j G_xj M_xj over a batch of shadow maps.
+// Irradiance that the occluder blocks at each receiver pixel: Σ_j E_xj M_xj over a batch of shadow maps.
 // The arithmetic is that of `ShadowMap::blocked` and `RadianceTransfer::add` in src/shadow.
 #import insitu::shadow_map_types::{Frame, ShadowMap}
 
 struct Receiver {
     position: vec3<f32>,
-    column_a: u32,
+    vertex_a: u32,
     normal: vec3<f32>,
-    column_b: u32,
-    barycentric: vec3<f32>,
-    column_c: u32,
+    vertex_b: u32,
+    weights: vec3<f32>,
+    vertex_c: u32,
     across: vec3<f32>,  // one pixel to the right on the surface, m
     padding_a: u32,
     down: vec3<f32>,
@@ -70,6 +70,12 @@ fn may_shadow(sphere: vec4<f32>, map: u32) -> bool {
     return true;
 }
 
+// Irradiance that a map's cluster sends to a receiver vertex.
+fn sent(vertex: u32, map: u32) -> vec3<f32> {
+    let at = 3u * (vertex * frame.clusters + maps[map].cluster);
+    return vec3<f32>(transfers[at], transfers[at + 1u], transfers[at + 2u]);
+}
+
 // Neighbouring pixels share a workgroup, whose maps are chosen first.
 const GROUP: u32 = 64u;
 const MOST_MAPS: u32 = 1024u;
@@ -97,13 +103,10 @@ fn subtract(
         }
         let share = mask(receiver, map);
         if share > 0.0 {
-            let row = maps[map].row * frame.columns;
-            let transfer = vec3<f32>(
-                transfers[row + receiver.column_a],
-                transfers[row + receiver.column_b],
-                transfers[row + receiver.column_c],
-            );
-            sum += maps[map].radiance * (share * dot(transfer, receiver.barycentric));
+            let irradiance = receiver.weights.x * sent(receiver.vertex_a, map)
+                + receiver.weights.y * sent(receiver.vertex_b, map)
+                + receiver.weights.z * sent(receiver.vertex_c, map);
+            sum += share * maps[map].weight * irradiance;
         }
     }
     blocked[id.x] = vec4<f32>(sum, 0.0);

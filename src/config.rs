@@ -312,10 +312,16 @@ settings! {
         backend: Backend = Backend::Cpu,
         /// Side of a shadow map, texels.
         shadow_map_px: usize = 256,
-        /// A source that the object sees under a larger angle gets several shadow maps.
-        source_angle_deg: f64 = 10.0,
-        /// Only so many of the strongest sources; 0 for all of the source set.
-        max_sources: usize = 0,
+        /// Clusters into which the sources are gathered, each with a shadow of its own (gibson §8); 0 for one a source.
+        passes: usize = 50,
+        /// Hard shadows (small shadow maps) of which each cluster's soft one is made, on average; 1 for the paper's one.
+        origins: usize = 16,
+        /// Time for a frame, ms: no more passes than earlier frames say can be done in it; 0 for any.
+        frame_ms: f64 = 0.0,
+        /// Relative shadow error: no more passes than it needs by estimate; 0 for as many as `passes` says.
+        max_error: f64 = 0.0,
+        /// Triangles to which the object is simplified in shadow maps; 0 for as it is.
+        caster_triangles: usize = 500,
         /// Shadow rays per pixel of the method `raytraced`.
         rays: usize = 1024,
         /// Seed of all random choices.

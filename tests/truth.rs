@@ -13,7 +13,11 @@ use std::process::{Command, Output};
 
 fn truth(capture: &Capture, stages: &str) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_insitu"));
-    command.arg("truth").arg(capture.settings()).args(["--stages", stages, "--work"]).arg(capture.path("true"));
+    command
+        .arg("truth")
+        .arg(capture.settings())
+        .args(["--stages", stages, "--work"])
+        .arg(capture.path("true"));
     command.output().unwrap()
 }
 
@@ -22,7 +26,10 @@ fn true_results_stand_and_what_follows_runs_on_them() {
     let capture = Capture::office();
     let output = truth(&capture, "merge,calibrate,probe,model,illuminate");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    assert_eq!(stages_run(&output), ["ingest", "response", "merge", "calibrate", "probe", "model", "illuminate"]);
+    assert_eq!(
+        stages_run(&output),
+        ["ingest", "response", "merge", "calibrate", "probe", "model", "illuminate"]
+    );
     assert!(!capture.path("work").exists(), "the usual work folder is left alone");
 
     let truth_json = truth_at(&capture.path("truth/truth.json")).unwrap();

@@ -37,12 +37,12 @@ pub(super) fn print(statics: &Static, workspace: &Workspace, frames: usize, prin
 }
 
 /// The shadow method, prepared for one back end.
-enum Prepared {
-    Cpu(Box<RadianceTransfer>),
-    Gpu(Box<gpu::RadianceTransfer>),
+enum Prepared<'a> {
+    Cpu(Box<RadianceTransfer<'a>>),
+    Gpu(Box<gpu::RadianceTransfer<'a>>),
 }
 
-impl Prepared {
+impl Prepared<'_> {
     fn removed_radiance(&self, occluder: &Occluder) -> Result<Removed, shadow::Problem> {
         match self {
             Self::Cpu(method) => method.removed_radiance(occluder),

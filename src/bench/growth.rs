@@ -1,6 +1,6 @@
 //! How pre-processing grows with the number of patches.
 
-use super::plot::{self, Axis, DISTINCT, Line, Panel, Scale};
+use super::plot::{self, Axis, DISTINCT, Line, Panel};
 use super::subject::{exponent, transfer_settings};
 use crate::error::{Context as _, FileContext, Result};
 use crate::printer::Printer;
@@ -21,10 +21,12 @@ const MOST_MIB: f64 = 2048.0;
 
 /// Prints a line for each size, and the fitted exponents.
 pub(super) fn print(pictures: Option<&Path>, printer: &Printer) -> Result<()> {
-    printer.data("\npre-processing of the lobby: sets, transfers, hierarchies, shafts; memory above that before");
+    printer.data(
+        "\npre-processing of the lobby: sets, transfers, hierarchies, shafts; memory above that before",
+    );
     printer.data(&format!(
-        "{:>8}{:>10}{:>10}{:>10}{:>11}{:>10}{:>11}{:>10}",
-        "patches", "receivers", "vertices", "sources", "links", "shafts", "time, s", "MiB"
+        "{:>8}{:>10}{:>10}{:>10}{:>11}{:>11}{:>10}",
+        "patches", "receivers", "vertices", "sources", "links", "time, s", "MiB"
     ));
     let (mut times, mut memories) = (Vec::new(), Vec::new());
     for wanted in PATCHES {
@@ -38,12 +40,11 @@ pub(super) fn print(pictures: Option<&Path>, printer: &Printer) -> Result<()> {
         let time = started.elapsed().as_secs_f64();
         let memory = peak_memory_mib() - before;
         printer.data(&format!(
-            "{patches:>8}{:>10}{:>10}{:>10}{:>11}{:>10}{time:>11.2}{memory:>10.0}",
+            "{patches:>8}{:>10}{:>10}{:>10}{:>11}{time:>11.2}{memory:>10.0}",
             transfers.receivers.patches.len(),
             transfers.receivers.positions.len(),
             transfers.sources.len(),
             transfers.links.node.len(),
-            transfers.shafts.len(),
         ));
         times.push((patches, time));
         memories.push((patches, memory));
@@ -58,7 +59,10 @@ pub(super) fn print(pictures: Option<&Path>, printer: &Printer) -> Result<()> {
         points[i].1
     };
     let (time, memory) = (at(&times, 2000), at(&memories, 20_000));
-    printer.data(&format!("2,000 patches: {time:.2} s; a fifth of the paper's {PAPER_S} s is {:.1} s", PAPER_S / 5.0));
+    printer.data(&format!(
+        "2,000 patches: {time:.2} s; a fifth of the paper's {PAPER_S} s is {:.1} s",
+        PAPER_S / 5.0
+    ));
     printer.data(&format!("20,000 patches: {memory:.0} MiB of {MOST_MIB:.0} MiB"));
     if let Some(folder) = pictures {
         std::fs::create_dir_all(folder).at("making a folder for plots", folder)?;
@@ -70,11 +74,10 @@ pub(super) fn print(pictures: Option<&Path>, printer: &Printer) -> Result<()> {
 }
 
 fn draw(path: &Path, times: &[(f64, f64)], memories: &[(f64, f64)]) -> Result<()> {
-    let log = |label: &str| Axis { label: label.into(), scale: Scale::Log };
     let panel = |title: &str, y: &str, points: &[(f64, f64)]| Panel {
         title: title.into(),
-        x: log("patches"),
-        y: log(y),
+        x: Axis::log("patches"),
+        y: Axis::log(y),
         lines: vec![Line {
             label: format!("patches^{:.2}", exponent(points)),
             colour: DISTINCT[0],

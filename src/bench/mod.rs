@@ -1,10 +1,14 @@
 //! `insitu bench`: what each stage costs, what a frame costs when the object moves and all else is reused, what each
 //! setting of a shadow method costs against its error, and where the error against a capture's truth comes from.
 
-mod accuracy;
 mod breakdown;
+mod cost;
 mod frames;
+mod growth;
+mod passes;
+mod plot;
 mod statics;
+mod subject;
 mod triptych;
 mod truth;
 
@@ -23,8 +27,12 @@ pub enum Table {
     Stages,
     /// Time of a frame, for both back ends.
     Frames,
-    /// Speed against error of the shadow methods.
-    Accuracy,
+    /// Error against passes, on captures and on a synthetic lobby.
+    Passes,
+    /// What moving the object costs, on a synthetic lobby.
+    Cost,
+    /// How pre-processing grows with the number of patches.
+    Growth,
     /// What each stage adds to the error against a capture's truth.
     Breakdown,
     /// The methods against a capture's truth, with the true scene model.
@@ -32,7 +40,7 @@ pub enum Table {
 }
 
 /// What a plain `insitu bench` prints.
-const USUAL: [Table; 3] = [Table::Stages, Table::Frames, Table::Accuracy];
+const USUAL: [Table; 3] = [Table::Stages, Table::Frames, Table::Passes];
 
 /// Runs what is stale, then prints the tables asked for, the usual ones where none is named.
 /// `pictures` is a folder for what tables draw.
@@ -53,19 +61,19 @@ pub fn bench(
     let settings = validate::settings_under(paths)?;
     for table in if tables.is_empty() { &USUAL } else { tables } {
         match table {
+            Table::Passes => passes::print(&settings, frames, pictures, printer)?,
+            Table::Cost => cost::print(frames, printer)?,
+            Table::Growth => growth::print(pictures, printer)?,
             Table::Breakdown => breakdown::print(&settings, printer)?,
             Table::Truth => truth::print(&settings, pictures, printer)?,
-            Table::Stages | Table::Frames | Table::Accuracy => {
+            Table::Stages | Table::Frames => {
                 for file in &settings {
                     let workspace = Workspace::open(file)?;
                     run::stages(&workspace, &Range::default(), printer)?;
                     printer.data(&format!("{}: {threads} threads; times in ms", validate::name(file)));
                     match table {
                         Table::Stages => print_stages(&workspace, printer)?,
-                        Table::Frames => {
-                            frames::print(&Static::read(&workspace)?, &workspace, frames, printer)?
-                        }
-                        _ => accuracy::print(&Static::read(&workspace)?, &workspace, frames, printer)?,
+                        _ => frames::print(&Static::read(&workspace)?, &workspace, frames, printer)?,
                     }
                 }
             }

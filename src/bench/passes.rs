@@ -1,6 +1,6 @@
 //! Speed against error: the number of passes, and rays, against the ray-traced reference on the same scene model.
 
-use super::plot::{self, Axis, DISTINCT, Line, Panel, Scale};
+use super::plot::{self, Axis, DISTINCT, Line, Panel};
 use super::subject::{LobbyTransfers, Subject};
 use super::{Static, spread};
 use crate::driver::run::{self, Range};
@@ -56,7 +56,8 @@ pub(super) fn print(
 fn table(subject: &Subject, frames: usize, printer: &Printer) -> Result<Curve> {
     let shots = PASSES.iter().map(|&n| subject.passes(n, frames)).collect::<Result<Vec<_>>>()?;
     let rough = subject.reference(f64::INFINITY, None)?;
-    let least = shots.iter().map(|s| subject.errors(&s.removed.epsilon, &rough.epsilon).0).fold(f64::MAX, f64::min);
+    let least =
+        shots.iter().map(|s| subject.errors(&s.removed.epsilon, &rough.epsilon).0).fold(f64::MAX, f64::min);
     let reference = subject.reference(NOISE_SHARE * least, Some(rough))?;
     let (width, height) = subject.scene.plate.size();
     printer.data(&format!(
@@ -100,7 +101,6 @@ fn table(subject: &Subject, frames: usize, printer: &Printer) -> Result<Curve> {
 }
 
 fn draw(path: &Path, curves: &[(String, Curve)]) -> Result<()> {
-    let log = |label: &str| Axis { label: label.into(), scale: Scale::Log };
     let lines = |x: usize| {
         let line = |(i, (name, curve)): (usize, &(String, Curve))| Line {
             label: name.clone(),
@@ -111,13 +111,11 @@ fn draw(path: &Path, curves: &[(String, Curve)]) -> Result<()> {
     };
     let panel = |title: &str, label: &str, x| Panel {
         title: title.into(),
-        x: log(label),
-        y: log("relative shadow error"),
+        x: Axis::log(label),
+        y: Axis::log("relative shadow error"),
         lines: lines(x),
     };
-    let panels = [
-        panel("Error against passes", "passes", 0),
-        panel("Error against time of a frame", "time, ms", 2),
-    ];
+    let panels =
+        [panel("Error against passes", "passes", 0), panel("Error against time of a frame", "time, ms", 2)];
     plot::write_svg(path, &panels, 2)
 }

@@ -65,7 +65,12 @@ impl<'a> Subject<'a> {
     /// The lobby with an object in the middle of the view.
     pub fn lobby(made: &'a LobbyTransfers) -> Self {
         let name = format!("lobby {}", made.lobby.light.mesh.patches.len());
-        Self { name, scene: made.scene(), occluder: Lobby::object([0.3, 0.6], 0.0), settings: Render::default() }
+        Self {
+            name,
+            scene: made.scene(),
+            occluder: Lobby::object([0.3, 0.6], 0.0),
+            settings: Render::default(),
+        }
     }
 
     /// A frame's ε with so many passes (0: one a source), and the times of `frames` more; the first one warms caches.
@@ -140,7 +145,8 @@ pub(super) fn line(points: &[(f64, f64)]) -> (f64, f64) {
 
 /// Exponent k of y ∝ xᵏ, by least squares on logarithms.
 pub(super) fn exponent(points: &[(f64, f64)]) -> f64 {
-    let logs: Vec<_> = points.iter().filter(|p| p.0 > 0.0 && p.1 > 0.0).map(|p| (p.0.ln(), p.1.ln())).collect();
+    let logs: Vec<_> =
+        points.iter().filter(|p| p.0 > 0.0 && p.1 > 0.0).map(|p| (p.0.ln(), p.1.ln())).collect();
     line(&logs).0
 }
 

@@ -30,7 +30,9 @@ pub(super) fn write(
     // ε* = B − T; B − T + (T − C) is ours, whose error is known: its range is that of the shadow.
     let in_region = |image: &crate::image::RadianceImage| {
         let (w, h) = image.size();
-        Image::from_fn(w, h, |x, y| if *comparison.shadow_region.at(x, y) { *image.at(x, y) } else { Default::default() })
+        Image::from_fn(w, h, |x, y| {
+            if *comparison.shadow_region.at(x, y) { *image.at(x, y) } else { Default::default() }
+        })
     };
     let shadow = range(&in_region(&difference(&verdict.plate, truth)));
     let most = AMPLIFIED * shadow;

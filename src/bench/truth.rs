@@ -71,9 +71,11 @@ impl Judged {
         let (coverage, clipped) = (&self.object.coverage, &self.clipped);
         let ours = Ours { plate, composite: &composite, coverage, clipped };
         let mut measured = Measured::default();
-        let comparison = compare(&ours, &self.reference, |v| v, &mut measured).doing("comparing with the truth")?;
+        let comparison =
+            compare(&ours, &self.reference, |v| v, &mut measured).doing("comparing with the truth")?;
         let figures = measured.figures(&Default::default());
-        let value = |name: &str| figures.iter().find(|f| f.name == name).and_then(|f| f.value).unwrap_or(f64::NAN);
+        let value =
+            |name: &str| figures.iter().find(|f| f.name == name).and_then(|f| f.value).unwrap_or(f64::NAN);
         let depth = [epsilon, &removed_in_truth(plate, epsilon, &comparison.removal_error)]
             .map(|removed| depth(plate, removed, &comparison.shadow_region));
         Ok(Verdict {
@@ -110,11 +112,18 @@ fn depth(plate: &RadianceImage, removed: &RadianceImage, region: &Image<bool>) -
 pub(super) fn print(settings: &[PathBuf], pictures: Option<&Path>, printer: &Printer) -> Result<()> {
     printer.data("\nwith the true camera, plate, scene and light: relative shadow error, energy bias (%), time of the shadow (s);");
     printer.data("noise: of the truth; depth: share of light gone in the darkest twentieth of the shadow, ours and truth;");
-    printer.data("Cycles, Mitsuba: their errors with the same truth given, object on the floor (DESIGN.md §8)");
+    printer
+        .data("Cycles, Mitsuba: their errors with the same truth given, object on the floor (DESIGN.md §8)");
     let width = settings.iter().map(|s| validate::name(s).len()).max().unwrap_or(0).max(7);
     printer.data(&format!(
         "{:<width$}{:>22}{:>24}{:>8}{:>14}{:>8}{:>9}",
-        "capture", "radiance-transfer", format!("raytraced, {RAYS}"), "noise", "depth", "Cycles", "Mitsuba"
+        "capture",
+        "radiance-transfer",
+        format!("raytraced, {RAYS}"),
+        "noise",
+        "depth",
+        "Cycles",
+        "Mitsuba"
     ));
     for file in settings {
         let judged = Judged::read(file)?;
@@ -131,13 +140,13 @@ pub(super) fn print(settings: &[PathBuf], pictures: Option<&Path>, printer: &Pri
         let truth_file = workspace.pipeline.evaluate.truth.as_ref().map(|p| workspace.base.join(p));
         let truth = truth_file.as_deref().map(truth_at).transpose()?;
         let stem = workspace.pipeline.evaluate.reference.as_ref().and_then(|p| p.file_stem());
-        let noise = truth.as_ref().zip(stem).zip(ours.comparison.rms_and_mean).and_then(|((t, stem), (rms, mean))| {
-            Some(t.difference_noise(&stem.to_string_lossy())? * mean / rms)
-        });
+        let noise = truth.as_ref().zip(stem).zip(ours.comparison.rms_and_mean).and_then(
+            |((t, stem), (rms, mean))| Some(t.difference_noise(&stem.to_string_lossy())? * mean / rms),
+        );
         let name = validate::name(file);
-        let beside = RENDERERS
-            .iter()
-            .find(|(scene, ..)| !name.contains('/') && truth.as_ref().is_some_and(|t| t.scene_name() == *scene));
+        let beside = RENDERERS.iter().find(|(scene, ..)| {
+            !name.contains('/') && truth.as_ref().is_some_and(|t| t.scene_name() == *scene)
+        });
         let number = |v: Option<f64>| v.map_or("-".into(), |v| format!("{v:.3}"));
         let method = |v: &Verdict, s: f64| format!("{:.3} {:>+6.1} {s:>6.2}", v.error, 100.0 * v.bias);
         printer.data(&format!(

@@ -77,7 +77,11 @@ const RANGES: &[(&str, &str, Range)] = &[
     ("render", "environment_px", From(8.0, 4096.0)),
     ("render", "antialiasing", From(1.0, 32.0)),
     ("render", "shadow_map_px", From(16.0, 8192.0)),
-    ("render", "source_angle_deg", Above(0.0, 180.0)),
+    ("render", "passes", From(0.0, 1e6)),
+    ("render", "origins", From(1.0, 1024.0)),
+    ("render", "frame_ms", From(0.0, 1e6)),
+    ("render", "max_error", From(0.0, 1.0)),
+    ("render", "caster_triangles", From(0.0, 1e9)),
     ("render", "rays", From(2.0, 1e6)),
     ("composite", "exposure_ev", From(-30.0, 30.0)),
 ];
@@ -184,7 +188,7 @@ mod tests {
         for (table, content) in value.as_table().unwrap() {
             for (key, v) in content.as_table().into_iter().flatten() {
                 let ranged = RANGES.iter().any(|(t, k, _)| t == table && k == key);
-                let free = matches!(key.as_str(), "seed" | "max_sources");
+                let free = key == "seed";
                 assert!(ranged || free || numbers(v).is_empty(), "{table}.{key}");
             }
         }

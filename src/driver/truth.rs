@@ -9,7 +9,7 @@ use crate::evaluate::Truth;
 use crate::evaluate::references::read_truth;
 use crate::exposure::Capture;
 use crate::illuminate::{build::Known, put_light};
-use crate::image::{RadianceImage, Radiance};
+use crate::image::{Radiance, RadianceImage};
 use crate::merge::Merged;
 use crate::model::{Scene, gltf};
 use crate::printer::Printer;

@@ -8,9 +8,7 @@ use crate::image::{Image, Radiance, RadianceImage};
 use crate::model::{Face, FittedPrimitive, Scene};
 use crate::probe::{Environment, ProbeFit, latlong};
 use glam::Vec3;
-use nalgebra::{
-    Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3,
-};
+use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use serde_json::Value;
 use std::collections::BTreeMap;
 
@@ -40,10 +38,8 @@ impl Truth {
         intrinsics.focal_px = [number("fx")?, number("fy")?];
         intrinsics.principal_point_px = [number("cx")?, number("cy")?];
         let image = self.image(file)?;
-        let camera_from_truth = isometry(
-            Self::numbers(&image["R"], "images.R")?,
-            Self::numbers(&image["t"], "images.t")?,
-        );
+        let camera_from_truth =
+            isometry(Self::numbers(&image["R"], "images.R")?, Self::numbers(&image["t"], "images.t")?);
         let world_from_camera = self.world_from_truth()? * camera_from_truth.inverse();
         Ok(Camera { intrinsics, world_from_camera })
     }
@@ -112,7 +108,12 @@ impl Truth {
 
     /// An equirectangular map of the truth (row 0 looks up) as our environment around `origin`. Both worlds have one
     /// vertical, so rows stay what they are and columns are shifted: no light is lost.
-    pub fn environment(&self, map: &RadianceImage, scale: f64, origin: Point3<f64>) -> Result<Environment, Problem> {
+    pub fn environment(
+        &self,
+        map: &RadianceImage,
+        scale: f64,
+        origin: Point3<f64>,
+    ) -> Result<Environment, Problem> {
         let (w, h) = map.size();
         let truth_from_world = self.world_from_truth()?.inverse();
         let d = latlong::direction(0.5, h as f32 / 2.0, w, h);
@@ -181,7 +182,8 @@ impl Truth {
                 Ok((Kind::Box, vec![size.x, size.z, size.y], cuboid(centre, size / 2.0, turn)))
             }
             Some("sphere") => {
-                let radius = primitive["radius"].as_f64().ok_or(Problem::Shape("primitives.radius".into()))?;
+                let radius =
+                    primitive["radius"].as_f64().ok_or(Problem::Shape("primitives.radius".into()))?;
                 Ok((Kind::Polygon, vec![2.0 * radius], sphere(centre, radius)))
             }
             _ => Err(Problem::Shape("primitives.kind".into())),
@@ -203,7 +205,8 @@ fn rectangle(centre: Point3<f64>, u: Vector3<f64>, v: Vector3<f64>) -> Vec<Point
 /// Sides by our names: the truth's +Z is `top`, its −Y `front`.
 fn cuboid(centre: Point3<f64>, half: Vector3<f64>, turn: f64) -> Vec<NamedFace> {
     let rotation = Rotation3::from_axis_angle(&Vector3::z_axis(), turn);
-    let [x, y, z] = [Vector3::x() * half.x, Vector3::y() * half.y, Vector3::z() * half.z].map(|a| rotation * a);
+    let [x, y, z] =
+        [Vector3::x() * half.x, Vector3::y() * half.y, Vector3::z() * half.z].map(|a| rotation * a);
     let sides = [
         ("top", z, x, y),
         ("bottom", -z, y, x),
@@ -236,7 +239,8 @@ fn sphere(centre: Point3<f64>, radius: f64) -> Vec<NamedFace> {
             all
         })
         .collect();
-    let side = (corners.iter().map(|c| (c - corners[0]).norm()).filter(|d| *d > 1e-9)).fold(f64::MAX, f64::min);
+    let side =
+        (corners.iter().map(|c| (c - corners[0]).norm()).filter(|d| *d > 1e-9)).fold(f64::MAX, f64::min);
     let near = |a: usize, b: usize| ((corners[a] - corners[b]).norm() - side).abs() < 1e-9;
     let mut triangles = Vec::new();
     for a in 0..12 {

@@ -98,7 +98,8 @@ fn environments_keep_their_light_and_point_the_same_way() {
 
 #[test]
 fn what_is_missing_is_named() {
-    let bad = Truth::new(json!({"grid": truth().value["grid"], "primitives": [{"name": "x", "kind": "cone"}]}));
+    let bad =
+        Truth::new(json!({"grid": truth().value["grid"], "primitives": [{"name": "x", "kind": "cone"}]}));
     assert_eq!(bad.scene().unwrap_err(), Problem::Shape("primitives.centre".into()));
     assert_eq!(bad.camera("p.jpg").unwrap_err(), Problem::Shape("intrinsics.width".into()));
 }

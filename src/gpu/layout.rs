@@ -8,7 +8,7 @@ use bytemuck::{Pod, Zeroable};
 pub(crate) struct Frame {
     pub maps: u32,
     pub pixels: u32,
-    pub columns: u32,
+    pub clusters: u32,
     pub padding: u32,
 }
 
@@ -19,11 +19,11 @@ pub(crate) struct ShadowMap {
     pub map_from_world: [[f32; 4]; 4],
     pub planes: [[f32; 4]; 4],
     pub sides: [[f32; 4]; 5],
-    pub radiance: [f32; 3],
-    pub row: u32,
     pub offset: [f32; 2],
+    pub weight: f32,
+    pub cluster: u32,
     pub size: u32,
-    pub padding: u32,
+    pub padding: [u32; 3],
 }
 
 /// `Receiver` of subtract_transfers.wgsl.
@@ -31,11 +31,11 @@ pub(crate) struct ShadowMap {
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
 pub(crate) struct Receiver {
     pub position: [f32; 3],
-    pub column_a: u32,
+    pub vertex_a: u32,
     pub normal: [f32; 3],
-    pub column_b: u32,
-    pub barycentric: [f32; 3],
-    pub column_c: u32,
+    pub vertex_b: u32,
+    pub weights: [f32; 3],
+    pub vertex_c: u32,
     pub across: [f32; 3],
     pub padding_a: u32,
     pub down: [f32; 3],
@@ -73,20 +73,20 @@ mod tests {
     #[test]
     fn structs_lie_as_the_shaders_read_them() {
         let module = &shaders::compose(shaders::SUBTRACT_TRANSFERS).unwrap().0;
-        same_layout!(module, Frame { maps, pixels, columns, padding });
+        same_layout!(module, Frame { maps, pixels, clusters, padding });
         same_layout!(
             module,
-            ShadowMap { map_from_world, planes, sides, radiance, row, offset, size, padding }
+            ShadowMap { map_from_world, planes, sides, offset, weight, cluster, size, padding }
         );
         same_layout!(
             module,
             Receiver {
                 position,
-                column_a,
+                vertex_a,
                 normal,
-                column_b,
-                barycentric,
-                column_c,
+                vertex_b,
+                weights,
+                vertex_c,
                 across,
                 padding_a,
                 down,

@@ -1,10 +1,10 @@
-//! One shadow map per source on the graphics processor: raster passes draw the maps of a batch, a compute pass adds
-//! what they block.
+//! Shadow maps from representative sources on the graphics processor: raster passes draw the maps of a batch, a compute
+//! pass adds what they block.
 
 use super::layout::{Frame, Receiver, ShadowMap};
 use super::{Device, shaders};
 use crate::config::Render;
-use crate::shadow::{self, MapPlan, Occluder, Problem, Removed, Scene};
+use crate::shadow::{self, MapPlan, OFFSETS, Occluder, Outlook, Plan, Problem, Removed, Scene, batches};
 
 /// Bytes of shadow maps that are held at a time.
 const BATCH_BYTES: usize = 64 << 20;
@@ -14,15 +14,12 @@ const WORKGROUP: usize = 64;
 const MOST_MAPS: usize = 1024;
 
 /// The method with everything static on the device; only the object changes from frame to frame.
-pub struct RadianceTransfer {
-    /// The same method in plain Rust: plans the maps, does the sources that are too near for one.
-    plain: shadow::RadianceTransfer,
+pub struct RadianceTransfer<'a> {
+    /// The same method in plain Rust: plans the maps, does the origins that are too near for one.
+    plain: shadow::RadianceTransfer<'a>,
     device: Device,
     draw: wgpu::RenderPipeline,
     subtract: wgpu::ComputePipeline,
-    /// Rows of the transfers, in as many buffers as the device's limits demand.
-    transfers: Vec<wgpu::Buffer>,
-    rows_per_buffer: usize,
     pixels: Vec<PixelBlock>,
     maps: wgpu::Buffer,
     texture: wgpu::Texture,
@@ -46,9 +43,9 @@ struct PixelBlock {
     count: usize,
 }
 
-impl RadianceTransfer {
+impl<'a> RadianceTransfer<'a> {
     /// Uploads everything that does not depend on the object.
-    pub fn prepare(scene: &Scene, settings: &Render) -> Result<Self, Problem> {
+    pub fn prepare(scene: &Scene<'a>, settings: &Render) -> Result<Self, Problem> {
         let plain = shadow::RadianceTransfer::prepare(scene, settings)?;
         let device = Device::open()?;
         let errors = device.watch();
@@ -57,17 +54,13 @@ impl RadianceTransfer {
         prepared
     }
 
-    fn upload(plain: shadow::RadianceTransfer, device: Device, settings: &Render) -> Result<Self, Problem> {
+    fn upload(
+        plain: shadow::RadianceTransfer<'a>,
+        device: Device,
+        settings: &Render,
+    ) -> Result<Self, Problem> {
         let most = device.limits.max_storage_buffer_binding_size.min(device.limits.max_buffer_size) as usize;
         let storage = wgpu::BufferUsages::STORAGE;
-
-        let (rows, columns) = plain.transfer().dim();
-        let rows_per_buffer = (most / (4 * columns.max(1))).clamp(1, rows.max(1));
-        let all = plain.transfer().as_slice().unwrap_or(&[]);
-        let transfers = all
-            .chunks(rows_per_buffer * columns.max(1))
-            .map(|chunk| device.upload("transfers", bytemuck::cast_slice(chunk), storage))
-            .collect();
 
         let per_block = (most / size_of::<Receiver>()).min(65_535 * WORKGROUP);
         let pixels =
@@ -115,8 +108,6 @@ impl RadianceTransfer {
             texture,
             plain,
             device,
-            transfers,
-            rows_per_buffer,
             pixels,
             maps,
         })
@@ -127,51 +118,77 @@ impl RadianceTransfer {
         &self.device.adapter
     }
 
+    /// The same method in plain Rust.
+    pub(crate) fn plain(&self) -> &shadow::RadianceTransfer<'a> {
+        &self.plain
+    }
+
     /// ε for an object.
     pub fn removed_radiance(&self, occluder: &Occluder) -> Result<Removed, Problem> {
         occluder.check()?;
-        let plans = self.plain.plan(occluder);
-        let (maps, rays): (Vec<&MapPlan>, Vec<&MapPlan>) = plans.iter().partition(|p| p.projection.is_some());
+        self.compose(occluder, &self.plain.outlook(occluder), self.plain.passes())
+    }
+
+    /// ε with so many passes.
+    pub(crate) fn compose(
+        &self,
+        occluder: &Occluder,
+        outlook: &Outlook,
+        passes: usize,
+    ) -> Result<Removed, Problem> {
+        let mut plan = self.plain.plan(outlook, passes);
+        let (maps, rays): (Vec<_>, Vec<_>) = plan.maps.iter().copied().partition(|p| p.projection.is_some());
         let errors = self.device.watch();
         let mesh = self.device.mesh(occluder);
         let mut encoder = self.device.device.create_command_encoder(&Default::default());
         self.pixels.iter().for_each(|block| encoder.clear_buffer(&block.blocked, 0, None));
         self.device.queue.submit([encoder.finish()]);
-        for same_buffer in maps.chunk_by(|a, b| self.buffer_of(a) == self.buffer_of(b)) {
-            for batch in same_buffer.chunks(self.layers.len()) {
-                self.add(batch, &mesh);
-            }
+        plan.maps = maps;
+        for batch in batches(&plan.maps) {
+            self.add(&plan, &plan.maps[batch.clone()], batch, &mesh);
         }
         let blocked = self.read_blocked();
         errors.none_on(&self.device)?;
-        Ok(self.plain.finish(occluder, &rays, blocked?, plans.len()))
+        let (mut blocked, shadow_maps) = (blocked?, plan.maps.len() + rays.len());
+        plan.maps = rays;
+        self.plain.add(occluder, outlook, &plan, &mut blocked);
+        Ok(Removed { shadow_maps, ..self.plain.removed(&plan, &blocked) })
     }
 
-    fn buffer_of(&self, plan: &MapPlan) -> usize {
-        plan.source as usize / self.rows_per_buffer
-    }
-
-    /// Draws a batch of maps whose transfers lie in one buffer, and adds what they block.
-    fn add(&self, plans: &[&MapPlan], occluder: &Mesh) {
-        let Some(first) = plans.first() else { return };
-        let mut encoder = self.device.device.create_command_encoder(&Default::default());
-        self.draw(plans, occluder, &mut encoder);
-        for block in &self.pixels {
-            let frame = self.frame(plans.len(), block.count);
-            let transfers = &self.transfers[self.buffer_of(first)];
-            let buffers = [&frame, &self.maps, &block.receivers, transfers, &block.blocked, &block.spheres];
-            let layout = self.subtract.get_bind_group_layout(0);
-            let group = self.device.bind(&layout, &buffers, Some(&self.depths));
-            let mut pass = encoder.begin_compute_pass(&Default::default());
-            pass.set_pipeline(&self.subtract);
-            pass.set_bind_group(0, &group, &[]);
-            pass.dispatch_workgroups(block.count.div_ceil(WORKGROUP) as u32, 1, 1);
+    /// Draws some maps and adds what they block.
+    fn add(&self, plan: &Plan, maps: &[MapPlan], range: std::ops::Range<usize>, occluder: &Mesh) {
+        let vertices: Vec<u32> = (0..self.plain.vertex_count() as u32).collect();
+        let columns = self.plain.columns(plan, &vertices, range);
+        let clusters = columns.irradiance.dim().1;
+        let storage = wgpu::BufferUsages::STORAGE;
+        let contents = columns.irradiance.as_slice().unwrap_or(&[]);
+        let transfers = self.device.upload("transfers", bytemuck::cast_slice(contents), storage);
+        for plans in maps.chunks(self.layers.len()) {
+            let mut encoder = self.device.device.create_command_encoder(&Default::default());
+            self.draw(plans, columns.first, occluder, &mut encoder);
+            for block in &self.pixels {
+                let frame = self.frame(plans.len(), block.count, clusters);
+                let buffers =
+                    [&frame, &self.maps, &block.receivers, &transfers, &block.blocked, &block.spheres];
+                let layout = self.subtract.get_bind_group_layout(0);
+                let group = self.device.bind(&layout, &buffers, Some(&self.depths));
+                let mut pass = encoder.begin_compute_pass(&Default::default());
+                pass.set_pipeline(&self.subtract);
+                pass.set_bind_group(0, &group, &[]);
+                pass.dispatch_workgroups(block.count.div_ceil(WORKGROUP) as u32, 1, 1);
+            }
+            self.device.queue.submit([encoder.finish()]);
         }
-        self.device.queue.submit([encoder.finish()]);
     }
 
     /// Draws at most as many maps as there are layers.
-    fn draw(&self, plans: &[&MapPlan], occluder: &Mesh, encoder: &mut wgpu::CommandEncoder) {
+    fn draw(
+        &self,
+        plans: &[MapPlan],
+        first_cluster: u32,
+        occluder: &Mesh,
+        encoder: &mut wgpu::CommandEncoder,
+    ) {
         let parameters: Vec<ShadowMap> = plans
             .iter()
             .filter_map(|plan| {
@@ -180,11 +197,11 @@ impl RadianceTransfer {
                     map_from_world: projection.map_from_world.to_cols_array_2d(),
                     planes: projection.planes.to_cols_array_2d(),
                     sides: plan.sides.map(|s| s.to_array()),
-                    radiance: self.plain.map_radiance(plan),
-                    row: (plan.source as usize % self.rows_per_buffer) as u32,
-                    offset: plan.offset.to_array(),
+                    offset: OFFSETS[plan.offset].to_array(),
+                    weight: plan.weight,
+                    cluster: plan.cluster - first_cluster,
                     size: plan.size as u32,
-                    padding: 0,
+                    padding: [0; 3],
                 })
             })
             .collect();
@@ -214,8 +231,8 @@ impl RadianceTransfer {
     /// The shadow maps of an object, for those sources that are not too near for one.
     pub fn shadow_maps(&self, occluder: &Occluder) -> Result<Vec<shadow::ShadowMap>, Problem> {
         occluder.check()?;
-        let plans = self.plain.plan(occluder);
-        let plans: Vec<&MapPlan> = plans.iter().filter(|p| p.projection.is_some()).collect();
+        let plan = self.plain.plan(&self.plain.outlook(occluder), self.plain.passes());
+        let plans: Vec<MapPlan> = plan.maps.iter().filter(|p| p.projection.is_some()).copied().collect();
         let mesh = self.device.mesh(occluder);
         let size = self.plain.map_px();
         let bytes_per_row = (4 * size).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT as usize);
@@ -223,7 +240,7 @@ impl RadianceTransfer {
         for batch in plans.chunks(self.layers.len()) {
             let staging = self.device.staging((bytes_per_row * size * batch.len()) as u64);
             let mut encoder = self.device.device.create_command_encoder(&Default::default());
-            self.draw(batch, &mesh, &mut encoder);
+            self.draw(batch, 0, &mesh, &mut encoder);
             let layout = wgpu::TexelCopyBufferLayout {
                 offset: 0,
                 bytes_per_row: Some(bytes_per_row as u32),
@@ -246,13 +263,8 @@ impl RadianceTransfer {
         Ok(maps)
     }
 
-    fn frame(&self, maps: usize, pixels: usize) -> wgpu::Buffer {
-        let frame = Frame {
-            maps: maps as u32,
-            pixels: pixels as u32,
-            columns: self.plain.transfer().ncols() as u32,
-            padding: 0,
-        };
+    fn frame(&self, maps: usize, pixels: usize, clusters: usize) -> wgpu::Buffer {
+        let frame = Frame { maps: maps as u32, pixels: pixels as u32, clusters: clusters as u32, padding: 0 };
         self.device.upload("frame", bytemuck::bytes_of(&frame), wgpu::BufferUsages::UNIFORM)
     }
 
@@ -276,11 +288,11 @@ impl PixelBlock {
             .iter()
             .map(|p| Receiver {
                 position: p.position.to_array(),
-                column_a: p.columns[0],
+                vertex_a: p.vertices[0],
                 normal: p.normal.to_array(),
-                column_b: p.columns[1],
-                barycentric: p.barycentric,
-                column_c: p.columns[2],
+                vertex_b: p.vertices[1],
+                weights: p.weights,
+                vertex_c: p.vertices[2],
                 across: p.footprint[0].to_array(),
                 padding_a: 0,
                 down: p.footprint[1].to_array(),

@@ -149,12 +149,7 @@ struct Stage {
 }
 
 impl Stage {
-    fn new(
-        meshes: &[Option<FaceMesh>],
-        env: &Environment,
-        plate: Option<&Plate>,
-        known: &Known,
-    ) -> Self {
+    fn new(meshes: &[Option<FaceMesh>], env: &Environment, plate: Option<&Plate>, known: &Known) -> Self {
         let mut mesh = assemble(meshes);
         let bvh = Bvh::new(&mesh.vertices, &mesh.triangles());
         let mut projected = project::from_probe(env, &mesh, &bvh);

@@ -41,7 +41,8 @@ fn a_rooms_radiance_is_recovered_and_its_lamp_resolved() {
 fn an_open_sky_becomes_distant_light_of_the_same_power() {
     let ground = vec![room::faces(10.0, 1.0, 10.0)[0].clone()];
     let env = Environment::from_fn(128, Vec3::new(0.0, 0.1, 0.0), |d| [if d.y > 0.0 { 2.0 } else { 0.3 }; 3]);
-    let built = build(&ground, &env, None, &Known::default(), &config::Illuminate::default(), |_| 0.0).unwrap();
+    let built =
+        build(&ground, &env, None, &Known::default(), &config::Illuminate::default(), |_| 0.0).unwrap();
     let up: f64 = built
         .light
         .distant
@@ -63,7 +64,8 @@ fn what_the_probe_does_not_see_gathers_light() {
     let corners = shelf.map(|[x, z]| nalgebra::Point3::new(x, 1.2, z)).to_vec();
     faces.push(Face { name: "shelf.top".into(), vertices: corners });
     let env = environment(Vec3::new(0.3, 0.6, -0.4));
-    let light = build(&faces, &env, None, &Known::default(), &config::Illuminate::default(), |_| 0.0).unwrap().light;
+    let light =
+        build(&faces, &env, None, &Known::default(), &config::Illuminate::default(), |_| 0.0).unwrap().light;
     let top: Vec<_> = light.mesh.patches.iter().filter(|p| p.face == 6).collect();
     assert!(!top.is_empty() && top.iter().all(|p| p.evidence == Evidence::Gathered));
     assert!(top.iter().all(|p| p.radiance[0] > 0.2 && p.radiance[0] < 2.0 && p.reflectance == [0.5; 3]));

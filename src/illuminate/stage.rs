@@ -20,11 +20,8 @@ pub fn put_light(ctx: &Context, known: impl FnOnce(&Scene) -> Result<build::Know
     let env = Environment::from_planes(&exr::read(&path)?).ok_or_else(|| unfit(&path))?;
     let path = ctx.artefact("merge", "plate.exr")?;
     let plate = Merged::from_planes(&exr::read(&path)?).ok_or_else(|| unfit(&path))?;
-    let plate = build::Plate {
-        camera: cameras.plate_camera(),
-        radiance: &plate.radiance,
-        clipped: &plate.clipped,
-    };
+    let plate =
+        build::Plate { camera: cameras.plate_camera(), radiance: &plate.radiance, clipped: &plate.clipped };
     let settings = &ctx.pipeline.illuminate;
     let built = build::build(&scene.faces, &env, Some(&plate), known, settings, |d| fit.blur(d))
         .doing("putting light on the model")?;

@@ -3,28 +3,38 @@
 //! All methods answer with an image of ε. L_xj is what pixel x shows of source j: the plate's radiance times the
 //! share that j has of the irradiance at x, so the plate's own reflectance is kept and ε never exceeds the plate.
 
+mod caster;
+mod importance;
+mod lookup;
+mod origins;
+mod plan;
 mod projection;
 mod radiance_transfer;
 mod raster;
 mod raytraced;
 mod receivers;
+mod representatives;
+mod session;
 mod tiles;
 
-use crate::config::{Backend, Render, ShadowMethod};
+use crate::config::{Render, ShadowMethod};
 use crate::illuminate::patch::LightModel;
-use crate::image::{RadianceImage, luminance};
+use crate::image::RadianceImage;
 use crate::transfer::{SourceKind, Transfers};
 use crate::{error, gpu};
 use glam::Vec3;
-use ndarray::Array2;
 
-pub use projection::{Bounds, MapPlan, Projection, ShadowOrigin, plan};
+pub use caster::Caster;
+pub(crate) use plan::{Outlook, Plan};
+pub use projection::{Bounds, MapPlan, OFFSETS, Projection, ShadowOrigin};
 pub use radiance_transfer::RadianceTransfer;
+pub(crate) use radiance_transfer::batches;
 #[cfg(test)]
 pub(crate) use raster::{DEPTH_BIAS, STEEPEST};
 pub use raster::{ShadowMap, rasterise};
 pub use raytraced::raytraced;
 pub use receivers::{Receiver, Receivers};
+pub use session::{Frame, Session};
 pub(crate) use tiles::Pixel;
 
 /// The synthetic object as light sees it, in the world.
@@ -58,8 +68,12 @@ pub struct Removed {
     pub noise: Option<f64>,
     /// Number of sources whose shadow was sought.
     pub sources_used: usize,
-    /// Shadow maps drawn; several for a source that is large as seen from the object.
+    /// Clusters into which they were gathered; 0 for rays.
+    pub passes: usize,
+    /// Hard shadows of which those of the clusters are made.
     pub shadow_maps: usize,
+    /// Relative shadow error to expect of the clusters and maps.
+    pub expected_error: Option<f64>,
     /// Share of the receivers' light whose shadow was not sought.
     pub left_out_share: f64,
 }
@@ -117,17 +131,17 @@ impl error::Problem for Problem {
     }
 }
 
-/// ε by the method and on the back end that the settings name.
+/// ε of one object by the method and on the back end that the settings name. Shadow maps show a simplified object.
 pub fn removed_radiance(scene: &Scene, occluder: &Occluder, settings: &Render) -> Result<Removed, Problem> {
-    match (settings.method, settings.backend) {
-        (ShadowMethod::Raytraced, _) => raytraced(scene, occluder, settings),
-        (ShadowMethod::RadianceTransfer, Backend::Cpu) => {
-            RadianceTransfer::prepare(scene, settings)?.removed_radiance(occluder)
+    occluder.check()?;
+    let mut session = Session::prepare(scene, settings)?;
+    let frame = match settings.method {
+        ShadowMethod::Raytraced => session.frame(occluder),
+        ShadowMethod::RadianceTransfer => {
+            session.frame(&Caster::new(occluder, settings.caster_triangles).occluder)
         }
-        (ShadowMethod::RadianceTransfer, Backend::Gpu) => {
-            gpu::RadianceTransfer::prepare(scene, settings)?.removed_radiance(occluder)
-        }
-    }
+    };
+    Ok(frame?.removed)
 }
 
 impl Occluder {
@@ -183,40 +197,5 @@ impl Scene<'_> {
             }
         }
         Ok(())
-    }
-
-    /// Indices of the sources that the settings ask for, strongest first.
-    pub(crate) fn chosen(&self, settings: &Render) -> Vec<usize> {
-        let share = |i: usize| self.transfers.sources[i].power_share;
-        let mut order: Vec<usize> = (0..self.transfers.sources.len()).collect();
-        order.sort_by(|&a, &b| share(b).total_cmp(&share(a)));
-        if settings.max_sources > 0 {
-            order.truncate(settings.max_sources);
-        }
-        order
-    }
-
-    /// Irradiance per unit radiance of some sources, sr, [sources × receiver vertices].
-    pub(crate) fn transfer(&self, sources: &[usize]) -> Array2<f32> {
-        let all = &self.transfers.sources;
-        let vertices = self.transfers.receivers.positions.len();
-        let mut out = Array2::zeros((sources.len(), vertices));
-        let radiance: Vec<f32> = sources.iter().map(|&j| luminance(all[j].radiance(self.light))).collect();
-        let mut row = vec![[0.0; 3]; all.len()];
-        for v in 0..vertices {
-            self.transfers.expand(v as u32, &mut row);
-            for (i, &j) in sources.iter().enumerate() {
-                out[(i, v)] = luminance(row[j]) / radiance[i];
-            }
-        }
-        out
-    }
-
-    /// Share of the receivers' light that does not come from some sources.
-    pub(crate) fn left_out_share(&self, sources: &[usize]) -> f64 {
-        let all = &self.transfers.sources;
-        let rest = all.iter().map(|s| s.power_share).sum::<f64>()
-            - sources.iter().map(|&j| all[j].power_share).sum::<f64>();
-        rest.max(0.0) + self.transfers.left_out_share
     }
 }

@@ -1,9 +1,6 @@
 //! Where shadow maps look from, and how they project.
 
 use super::Occluder;
-use crate::illuminate::patch::LightModel;
-use crate::transfer::sampling::Shift;
-use crate::transfer::{Source, SourceKind};
 use glam::{DMat4, DVec3, DVec4, Mat4, Vec2, Vec3, Vec4};
 
 /// Bounding box and sphere of an occluder.
@@ -141,14 +138,14 @@ impl Projection {
 /// One shadow map to draw, or one origin to send rays to.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MapPlan {
-    /// Index into [`crate::transfer::Transfers::sources`].
-    pub source: u32,
-    /// Where its light is taken to come from.
+    /// Index of the cluster of sources whose light it parts.
+    pub cluster: u32,
+    /// Where that light is taken to come from.
     pub origin: ShadowOrigin,
-    /// Its share of the source's transfer.
+    /// Its share of the cluster's light.
     pub weight: f32,
-    /// Where in each pixel it is looked up, px from the centre.
-    pub offset: Vec2,
+    /// Which of [`OFFSETS`] in each pixel it is looked up at.
+    pub offset: usize,
     /// Side of the map, texels.
     pub size: usize,
     /// How to draw it; `None`: too near for a map, use rays.
@@ -157,119 +154,24 @@ pub struct MapPlan {
     pub sides: [Vec4; 5],
 }
 
-/// No hard shadow edge carries more than this share of all light: the steps of a penumbra stay below what shows.
-const EDGE_SHARE: f64 = 0.01;
-/// Nor more than this where the source is wide, and with it the steps.
-const WIDE_EDGE_SHARE: f64 = 1e-3;
-/// Most origins along a source's side.
-const MOST_PER_SIDE: u32 = 8;
-/// A map that carries less than this share of all light is drawn with fewer texels, but …
-const FULL_SIZE_SHARE: f64 = 1e-3;
-/// … with no less than the full size over this.
-const COARSEST: usize = 4;
-
-/// The maps of some sources for an occluder. A strong source, or one that the object sees under more than `max_angle`
-/// rad, becomes several origins: one hard shadow would be too coarse a penumbra. Each origin is looked up elsewhere in
-/// the pixel, so that they smooth edges, too, where the penumbra is narrower than a pixel.
-pub fn plan(
-    light: &LightModel,
-    sources: &[Source],
-    occluder: &Occluder,
-    size: usize,
-    max_angle: f32,
-) -> Vec<MapPlan> {
-    let bounds = Bounds::of(occluder);
-    let mut plans = Vec::with_capacity(sources.len());
-    for (i, source) in sources.iter().enumerate() {
-        let (origins, seed) = match source.kind {
-            SourceKind::Patch(p) => {
-                let corners = light.mesh.corners(p as usize);
-                let lift = light.mesh.normal(p as usize) * 1e-4;
-                let n = per_side(source.power_share, angle(corners, &bounds), max_angle);
-                let points = on_triangle(corners, n).map(|c| ShadowOrigin::Point(c + lift));
-                (points.collect::<Vec<_>>(), u64::from(p))
-            }
-            SourceKind::Distant(d) => {
-                let source_d = &light.distant[d as usize];
-                let radius = source_d.angular_radius();
-                let n = per_side(source.power_share, 2.0 * radius, max_angle);
-                let directions = in_cap(source_d.direction, radius, n * n).map(ShadowOrigin::Direction);
-                (directions.collect(), u64::from(d) | 1 << 40)
-            }
-        };
-        let share = source.power_share / origins.len() as f64;
-        let (weight, size) = (1.0 / origins.len() as f32, map_size(size, share));
-        let within = Shift::new(seed, 0);
-        plans.extend(origins.iter().zip(0..).map(|(&origin, k)| {
-            let offset = within.point(k) - 0.5;
-            MapPlan::new(i as u32, origin, weight, offset, &bounds, size)
-        }));
-    }
-    plans
-}
-
-/// Largest angle (rad) under which the occluder sees a patch.
-fn angle([a, b, c]: [Vec3; 3], bounds: &Bounds) -> f32 {
-    let edge = a.distance(b).max(b.distance(c)).max(c.distance(a));
-    let distance = ((a + b + c) / 3.0).distance(bounds.centre.clamp(bounds.min, bounds.max));
-    edge / distance.max(edge * 1e-2)
-}
-
-/// Origins along each side of a source, whose number is the square of it.
-fn per_side(share: f64, angle: f32, max_angle: f32) -> u32 {
-    let by_angle = f64::from(angle / max_angle).powi(2).min(share / WIDE_EDGE_SHARE);
-    let count = (share / EDGE_SHARE).max(by_angle);
-    (count.sqrt().ceil() as u32).clamp(1, MOST_PER_SIDE)
-}
-
-/// Side of a map whose source, or part of one, sends this share of all light.
-fn map_size(full: usize, share: f64) -> usize {
-    let mut divisor = 1;
-    while divisor < COARSEST && share * ((divisor * divisor) as f64) < FULL_SIZE_SHARE / 4.0 {
-        divisor *= 2;
-    }
-    (full / divisor).max(full.min(16))
-}
-
-/// Centroids of the n² parts into which lines along its sides cut a triangle.
-fn on_triangle([a, b, c]: [Vec3; 3], n: u32) -> impl Iterator<Item = Vec3> {
-    let (u, v) = ((b - a) / n as f32, (c - a) / n as f32);
-    let at = move |i: u32, j: u32, third: f32| a + u * (i as f32 + third) + v * (j as f32 + third);
-    let upright = (0..n).flat_map(move |j| (0..n - j).map(move |i| at(i, j, 1.0 / 3.0)));
-    let inverted = (1..n).flat_map(move |j| (0..n - j).map(move |i| at(i, j - 1, 2.0 / 3.0)));
-    upright.chain(inverted)
-}
-
-/// Directions all over a disc of the sky, solid angle for solid angle (a sunflower's seeds, Vogel 1979).
-fn in_cap(axis: Vec3, angular_radius: f32, count: u32) -> impl Iterator<Item = Vec3> {
-    let (x, y) = axis.any_orthonormal_pair();
-    (0..count).map(move |i| {
-        if count == 1 {
-            return axis;
-        }
-        let share = (i as f32 + 0.5) / count as f32;
-        let z = 1.0 - share * (1.0 - angular_radius.cos());
-        let (sine, cosine) = (i as f32 * GOLDEN_ANGLE).sin_cos();
-        let r = (1.0 - z * z).max(0.0).sqrt();
-        (x * (r * cosine) + y * (r * sine) + axis * z).normalize()
-    })
-}
-
-/// π (3 − √5), rad.
-const GOLDEN_ANGLE: f32 = 2.399_963;
+/// Where in a pixel maps are looked up in turn, px from the centre: edges are smooth where the penumbra is narrower than
+/// a pixel (a rotated grid, each row and column once).
+pub const OFFSETS: [Vec2; 4] =
+    [Vec2::new(-0.375, -0.125), Vec2::new(0.125, -0.375), Vec2::new(0.375, 0.125), Vec2::new(-0.125, 0.375)];
 
 impl MapPlan {
-    fn new(
-        source: u32,
+    /// A map of `size` texels a side around the occluder.
+    pub fn new(
+        cluster: u32,
         origin: ShadowOrigin,
         weight: f32,
-        offset: Vec2,
+        offset: usize,
         bounds: &Bounds,
         size: usize,
     ) -> Self {
         let projection = Projection::fit(origin, bounds, size);
         let sides = projection.map_or([Vec4::W; 5], |p| p.sides(size));
-        Self { source, origin, weight, offset, size, projection, sides }
+        Self { cluster, origin, weight, offset, size, projection, sides }
     }
 
     /// Whether the occluder can shadow anything in a sphere; may say yes where it cannot.
@@ -323,7 +225,7 @@ mod tests {
             let from = Vec3::new(x, y, z);
             let origin =
                 if distant { ShadowOrigin::Direction(from.normalize()) } else { ShadowOrigin::Point(from) };
-            let plan = MapPlan::new(0, origin, 1.0, Vec2::ZERO, &Bounds::of(&occluder), 32);
+            let plan = MapPlan::new(0, origin, 1.0, 0, &Bounds::of(&occluder), 32);
             let on = occluder.vertices[0].lerp(occluder.vertices[3], a).lerp(occluder.vertices[7], b);
             let behind = if distant { on - from.normalize() * far } else { from + (on - from) * far };
             prop_assert!(plan.may_shadow(behind, 0.01));
@@ -333,39 +235,11 @@ mod tests {
     #[test]
     fn what_lies_beside_or_before_the_occluder_is_culled() {
         let bounds = Bounds::of(&cube(Vec3::ZERO, 0.2));
-        let plan = MapPlan::new(0, ShadowOrigin::Point(Vec3::Y * 2.0), 1.0, Vec2::ZERO, &bounds, 64);
+        let plan = MapPlan::new(0, ShadowOrigin::Point(Vec3::Y * 2.0), 1.0, 0, &bounds, 64);
         assert!(plan.may_shadow(Vec3::Y * -1.0, 0.1));
         for p in [Vec3::Y, Vec3::Y * 3.0, Vec3::new(1.0, -1.0, 0.0), Vec3::new(0.0, -1.0, -1.0)] {
             assert!(!plan.may_shadow(p, 0.1), "{p}");
         }
-    }
-
-    #[test]
-    fn origins_cover_their_source_evenly() {
-        let triangle = [Vec3::ZERO, Vec3::X * 3.0, Vec3::Z * 2.0];
-        for n in 1..=MOST_PER_SIDE {
-            let points: Vec<Vec3> = on_triangle(triangle, n).collect();
-            assert_eq!(points.len() as u32, n * n);
-            let mean = points.iter().sum::<Vec3>() / points.len() as f32;
-            assert!(mean.distance(Vec3::new(1.0, 0.0, 2.0 / 3.0)) < 1e-5, "{n}: {mean}");
-            assert!(points.iter().all(|p| p.x > 0.0 && p.z > 0.0 && p.x / 3.0 + p.z / 2.0 < 1.0));
-        }
-        let axis = Vec3::new(0.3, 0.8, -0.2).normalize();
-        for count in [1, 4, 16, 64] {
-            let mean = in_cap(axis, 0.01, count).sum::<Vec3>() / count as f32;
-            assert!(mean.normalize().distance(axis) < 3e-3, "{count}: {mean}");
-            assert!(in_cap(axis, 0.01, count).all(|d| d.dot(axis) >= 0.01f32.cos() - 1e-6));
-        }
-    }
-
-    #[test]
-    fn no_hard_edge_carries_much_light() {
-        for share in [1e-5, 1e-3, 0.02, 0.1, 0.44] {
-            let n = per_side(share, 0.03, 0.17);
-            assert!(share / f64::from(n * n) <= EDGE_SHARE, "{share}");
-        }
-        assert_eq!(per_side(1e-4, 1.0, 0.17), 1, "a faint source needs one map however wide it is");
-        assert!(per_side(9e-3, 1.0, 0.17) > 2, "a wide one more than its light alone would ask for");
     }
 
     #[test]

@@ -1,127 +1,168 @@
-//! One shadow map per source, subtracted in f32 (Gibson et al. 2003, §7), in plain Rust.
+//! Shadow maps from representative sources, subtracted in f32 (Gibson et al. 2003, §7–8), in plain Rust.
 
-use super::projection::{MapPlan, ShadowOrigin, plan};
+use super::lookup::{Cover, OnPlane, Pyramid};
+use super::plan::{Outlook, Plan};
+use super::projection::{MapPlan, OFFSETS, ShadowOrigin};
 use super::raster::{ShadowMap, rasterise};
-use super::tiles::{Pixel, Prepared, Tile};
-use super::{Occluder, Problem, Removed, Scene};
+use super::tiles::{Pixel, Prepared, Tile, Vector};
+use super::{Bounds, Occluder, Problem, Removed, Scene};
 use crate::config::Render;
-use crate::illuminate::patch::LightModel;
-use crate::transfer::Source;
 use crate::visibility::Bvh;
-use glam::{Vec2, Vec3};
-use ndarray::Array2;
+use glam::Vec3;
+use ndarray::Array3;
 use rayon::prelude::*;
+use std::ops::Range;
+use wide::f32x8;
 
-/// Bytes of shadow maps that are held at a time.
-const BATCH_BYTES: usize = 64 << 20;
+/// Texels of shadow maps that are held at a time.
+const BATCH_TEXELS: usize = 24 << 20;
+/// Columns of transfers that are held at a time.
+const BATCH_CLUSTERS: usize = 256;
 
 /// The method with everything static in place; only the object changes from frame to frame.
-pub struct RadianceTransfer {
+pub struct RadianceTransfer<'a> {
+    scene: Scene<'a>,
     prepared: Prepared,
-    light: LightModel,
-    sources: Vec<Source>,
-    /// [sources × receiver vertices], sr.
-    transfer: Array2<f32>,
-    radiance: Vec<[f32; 3]>,
-    left_out_share: f64,
-    size: usize,
-    max_angle: f32,
+    passes: usize,
+    origins: usize,
+    map_px: usize,
 }
 
-/// A source as one frame sees it.
+/// A map's light as one frame sees it.
 enum Mask {
-    Map(ShadowMap),
+    Map(Pyramid),
     Rays(ShadowOrigin),
 }
 
-impl RadianceTransfer {
+/// Some clusters with their maps, drawn, and what they send to the receivers.
+struct Batch<'a> {
+    maps: &'a [MapPlan],
+    /// Number of the first map.
+    first: u32,
+    masks: Vec<Mask>,
+    columns: Columns,
+    /// The occluder, for the origins that are too near for a map.
+    rays: &'a Rays,
+}
+
+/// Irradiance from each of some clusters at some receiver vertices.
+pub(crate) struct Columns {
+    /// Number of the first cluster.
+    pub first: u32,
+    /// Rows by receiver vertex.
+    pub row: Vec<u32>,
+    /// [rows × clusters × 3], plate units.
+    pub irradiance: Array3<f32>,
+}
+
+struct Rays {
+    bvh: Bvh,
+    bounds: Bounds,
+}
+
+impl<'a> RadianceTransfer<'a> {
     /// Everything that does not depend on the object.
-    pub fn prepare(scene: &Scene, settings: &Render) -> Result<Self, Problem> {
-        let chosen = scene.chosen(settings);
-        let sources: Vec<Source> = chosen.iter().map(|&j| scene.transfers.sources[j]).collect();
+    pub fn prepare(scene: &Scene<'a>, settings: &Render) -> Result<Self, Problem> {
         Ok(Self {
             prepared: Prepared::new(scene, settings)?,
-            radiance: sources.iter().map(|s| s.radiance(scene.light)).collect(),
-            transfer: scene.transfer(&chosen),
-            light: scene.light.clone(),
-            left_out_share: scene.left_out_share(&chosen),
-            sources,
-            size: settings.shadow_map_px,
-            max_angle: max_angle(settings)?,
+            scene: *scene,
+            passes: settings.passes,
+            origins: settings.origins.max(1),
+            map_px: settings.shadow_map_px,
         })
     }
 
     /// ε for an object.
     pub fn removed_radiance(&self, occluder: &Occluder) -> Result<Removed, Problem> {
         occluder.check()?;
-        let plans = self.plan(occluder);
-        let all: Vec<&MapPlan> = plans.iter().collect();
-        let blocked = vec![[0.0f32; 3]; self.prepared.pixels.len()];
-        Ok(self.finish(occluder, &all, blocked, plans.len()))
+        let outlook = self.outlook(occluder);
+        Ok(self.compose(occluder, &outlook, self.passes))
     }
 
-    /// The shadow maps of an object, for those sources that are not too near for one.
+    /// The shadow maps of an object, for those origins that are not too near for one.
     pub fn shadow_maps(&self, occluder: &Occluder) -> Result<Vec<ShadowMap>, Problem> {
         occluder.check()?;
-        let plans = self.plan(occluder);
-        let drawn: Vec<_> = plans.iter().filter_map(|p| Some((p.projection?, p.size))).collect();
+        let plan = self.plan(&self.outlook(occluder), self.passes);
+        let drawn: Vec<_> = plan.maps.iter().filter_map(|p| Some((p.projection?, p.size))).collect();
         Ok(drawn.par_iter().map(|(p, size)| rasterise(p, occluder, *size)).collect())
     }
 
-    /// The maps of a frame: those that can shadow a receiver which their source lights.
-    pub(crate) fn plan(&self, occluder: &Occluder) -> Vec<MapPlan> {
-        let mut plans = plan(&self.light, &self.sources, occluder, self.size, self.max_angle);
-        let needed: Vec<bool> = plans.par_iter().map(|p| self.tiles_of(p).next().is_some()).collect();
-        let mut needed = needed.into_iter();
-        plans.retain(|_| needed.next().unwrap_or(true));
-        plans
+    /// What an object has to do with the light.
+    pub(crate) fn outlook(&self, occluder: &Occluder) -> Outlook<'a> {
+        Outlook::new(&self.scene, &self.prepared, Bounds::of(occluder))
     }
 
-    /// Tiles that a map can shadow, by their number.
-    fn tiles_of<'a>(&'a self, plan: &'a MapPlan) -> impl Iterator<Item = usize> + 'a {
-        let row = self.transfer.row(plan.source as usize);
-        let lit = move |tile: &Tile| tile.columns.iter().any(|&column| row[column as usize] > 0.0);
-        let tiles = self.prepared.tiles.iter().enumerate();
-        tiles.filter(move |(_, t)| plan.may_shadow(t.centre, t.radius) && lit(t)).map(|(i, _)| i)
+    pub(crate) fn plan(&self, outlook: &Outlook, passes: usize) -> Plan {
+        outlook.plan(passes, self.origins, self.map_px)
     }
 
-    /// Adds what the given maps block to what others have, and makes ε of it.
-    pub(crate) fn finish(
-        &self,
-        occluder: &Occluder,
-        plans: &[&MapPlan],
-        mut blocked: Vec<[f32; 3]>,
-        shadow_maps: usize,
-    ) -> Removed {
-        let bvh = Bvh::new(&occluder.vertices, &occluder.triangles);
-        let batch = (BATCH_BYTES / (4 * self.size * self.size)).max(1);
-        for plans in plans.chunks(batch) {
-            let masks: Vec<Mask> = plans
-                .par_iter()
-                .map(|plan| match &plan.projection {
-                    Some(projection) => Mask::Map(rasterise(projection, occluder, plan.size)),
-                    None => Mask::Rays(plan.origin),
-                })
+    /// The relative shadow error to expect of so many passes.
+    pub(crate) fn expected_error(&self, outlook: &Outlook, passes: usize) -> f64 {
+        outlook.error(passes, self.origins)
+    }
+
+    /// ε with so many passes.
+    pub(crate) fn compose(&self, occluder: &Occluder, outlook: &Outlook, passes: usize) -> Removed {
+        let plan = self.plan(outlook, passes);
+        let mut blocked = vec![[0.0f32; 3]; self.prepared.pixels.len()];
+        self.add(occluder, outlook, &plan, &mut blocked);
+        self.removed(&plan, &blocked)
+    }
+
+    /// Adds the irradiance that is blocked.
+    pub(crate) fn add(&self, occluder: &Occluder, outlook: &Outlook, plan: &Plan, blocked: &mut [[f32; 3]]) {
+        let lists = self.maps_of_tiles(&plan.maps, outlook.patches());
+        let vertices = self.vertices_of(&lists);
+        let rays = Rays::new(occluder);
+        for maps in batches(&plan.maps) {
+            let columns = self.columns(plan, &vertices, maps.clone());
+            let batch = Batch::draw(&plan.maps[maps.clone()], maps.start as u32, columns, occluder, &rays);
+            self.subtract(&batch, &lists, blocked);
+        }
+    }
+
+    /// The same answer without culling, tiles or vectors: a plain loop over pixels and maps, to compare with.
+    pub fn removed_radiance_plainly(&self, occluder: &Occluder) -> Result<Removed, Problem> {
+        occluder.check()?;
+        let plan = self.plan(&self.outlook(occluder), self.passes);
+        let vertices: Vec<u32> = (0..self.scene.transfers.receivers.positions.len() as u32).collect();
+        let rays = Rays::new(occluder);
+        let mut blocked = vec![[0.0f32; 3]; self.prepared.pixels.len()];
+        for maps in batches(&plan.maps) {
+            let columns = self.columns(&plan, &vertices, maps.clone());
+            let drawn: Vec<Option<ShadowMap>> = (plan.maps[maps.clone()].par_iter())
+                .map(|p| Some(rasterise(&p.projection?, occluder, p.size)))
                 .collect();
-            self.add(plans, &masks, &bvh, &mut blocked);
+            blocked.par_iter_mut().zip(&self.prepared.pixels).for_each(|(sum, pixel)| {
+                for (plan, map) in plan.maps[maps.clone()].iter().zip(&drawn) {
+                    let position = pixel.at(OFFSETS[plan.offset]);
+                    let share = match map {
+                        Some(map) => map.blocked(position, pixel.normal),
+                        None => f32::from(rays.blocked(&plan.origin, position, pixel.normal)),
+                    };
+                    if share > 0.0 {
+                        let corners = pixel.vertices.map(|v| columns.at(v, plan.cluster));
+                        for c in 0..3 {
+                            let irradiance: f32 = (0..3).map(|k| pixel.weights[k] * corners[k][c]).sum();
+                            sum[c] += share * plan.weight * irradiance;
+                        }
+                    }
+                }
+            });
         }
+        Ok(self.removed(&plan, &blocked))
+    }
+
+    pub(crate) fn removed(&self, plan: &Plan, blocked: &[[f32; 3]]) -> Removed {
         Removed {
-            epsilon: self.prepared.epsilon(&blocked),
+            epsilon: self.prepared.epsilon(self.scene.plate, blocked),
             noise: None,
-            sources_used: self.sources.len(),
-            shadow_maps,
-            left_out_share: self.left_out_share,
+            sources_used: plan.sources,
+            passes: plan.clusters.len(),
+            shadow_maps: plan.maps.len(),
+            expected_error: Some(plan.error),
+            left_out_share: self.scene.transfers.left_out_share,
         }
-    }
-
-    /// Largest side of a shadow map, texels.
-    pub(crate) fn map_px(&self) -> usize {
-        self.size
-    }
-
-    /// [sources × receiver vertices], sr.
-    pub(crate) fn transfer(&self) -> &Array2<f32> {
-        &self.transfer
     }
 
     /// Receiver pixels, in the order of what is blocked.
@@ -129,69 +170,216 @@ impl RadianceTransfer {
         &self.prepared.pixels
     }
 
-    /// Radiance of a map's source, times the map's share of it.
-    pub(crate) fn map_radiance(&self, plan: &MapPlan) -> [f32; 3] {
-        self.radiance[plan.source as usize].map(|c| c * plan.weight)
+    /// Number of passes that the settings ask for.
+    pub(crate) fn passes(&self) -> usize {
+        self.passes
     }
 
-    /// Adds what some maps block. Every pixel belongs to one tile and takes the maps in order: the same sum for any
+    /// Number of receiver vertices.
+    pub(crate) fn vertex_count(&self) -> usize {
+        self.scene.transfers.receivers.positions.len()
+    }
+
+    /// Largest side of a shadow map, texels.
+    pub(crate) fn map_px(&self) -> usize {
+        self.map_px
+    }
+
+    /// What the clusters of some maps send to some receiver vertices.
+    pub(crate) fn columns(&self, plan: &Plan, vertices: &[u32], maps: Range<usize>) -> Columns {
+        let (first, last) = (plan.maps[maps.start].cluster, plan.maps[maps.end - 1].cluster);
+        let clusters = &plan.clusters[first as usize..=last as usize];
+        let mut row = vec![u32::MAX; self.scene.transfers.receivers.positions.len()];
+        vertices.iter().zip(0..).for_each(|(&v, i)| row[v as usize] = i);
+        let irradiance = self.scene.transfers.gather(&plan.marked, clusters, vertices);
+        Columns { first, row, irradiance }
+    }
+
+    /// For every tile the numbers of the maps that can shadow it, ascending.
+    fn maps_of_tiles(&self, maps: &[MapPlan], patches: &[u32]) -> Vec<Vec<u32>> {
+        let receives = |tile: &Tile| tile.patches.iter().any(|p| patches.binary_search(p).is_ok());
+        let blocks = self.prepared.blocks.par_iter().flat_map_iter(|block| {
+            let near: Vec<u32> = (0..)
+                .zip(maps)
+                .filter(|(_, m)| m.may_shadow(block.centre, block.radius))
+                .map(|(i, _)| i)
+                .collect();
+            let tiles = &self.prepared.tiles[block.tiles.clone()];
+            tiles.iter().map(move |tile| {
+                if near.is_empty() || !receives(tile) {
+                    return Vec::new();
+                }
+                let may = |&&i: &&u32| maps[i as usize].may_shadow(tile.centre, tile.radius);
+                near.iter().filter(may).copied().collect()
+            })
+        });
+        blocks.collect()
+    }
+
+    /// Receiver vertices of the tiles that may be shadowed, ascending.
+    fn vertices_of(&self, lists: &[Vec<u32>]) -> Vec<u32> {
+        let mut used = vec![false; self.scene.transfers.receivers.positions.len()];
+        for (tile, _) in self.prepared.tiles.iter().zip(lists).filter(|(_, maps)| !maps.is_empty()) {
+            tile.vertices.iter().for_each(|&v| used[v as usize] = true);
+        }
+        (0..).zip(used).filter(|(_, used)| *used).map(|(v, _)| v).collect()
+    }
+
+    /// Adds what a batch blocks. Every pixel belongs to one tile and takes the maps in order: the same sum for any
     /// number of threads.
-    fn add(&self, plans: &[&MapPlan], masks: &[Mask], bvh: &Bvh, blocked: &mut [[f32; 3]]) {
+    fn subtract(&self, batch: &Batch, lists: &[Vec<u32>], blocked: &mut [[f32; 3]]) {
         let mut parts = Vec::with_capacity(self.prepared.tiles.len());
         let mut rest = blocked;
-        for tile in &self.prepared.tiles {
+        for (tile, maps) in self.prepared.tiles.iter().zip(lists) {
             let (part, after) = rest.split_at_mut(tile.pixels.len());
-            parts.push((tile, part));
+            let range = |n: u32| maps.partition_point(|&m| m < n);
+            let maps = &maps[range(batch.first)..range(batch.first + batch.maps.len() as u32)];
+            if !maps.is_empty() {
+                parts.push((tile, maps, part));
+            }
             rest = after;
         }
-        parts.into_par_iter().for_each(|(tile, blocked)| {
-            let pixels = &self.prepared.pixels[tile.pixels.clone()];
-            for (plan, mask) in plans.iter().zip(masks) {
-                if !plan.may_shadow(tile.centre, tile.radius) {
-                    continue;
-                }
-                let row = self.transfer.row(plan.source as usize);
-                let Some(row) = row.as_slice() else { continue };
-                let radiance = self.map_radiance(plan);
-                for (pixel, sum) in pixels.iter().zip(&mut *blocked) {
-                    let share = mask.blocked(pixel, plan.offset, bvh);
-                    if share > 0.0 {
-                        let irradiance = share * pixel.interpolate(row);
-                        for c in 0..3 {
-                            sum[c] += radiance[c] * irradiance;
-                        }
+        parts.into_par_iter().for_each(|(tile, maps, blocked)| {
+            let vectors = &self.prepared.vectors[tile.vectors.clone()];
+            let mut sums = vec![[f32x8::ZERO; 3]; vectors.len()];
+            self.masks(batch, tile, maps, |corners, masks| {
+                for ((vector, mask), sum) in vectors.iter().zip(masks).zip(&mut sums) {
+                    let corners = vector.corners.map(|v| corners[v as usize]);
+                    for (c, sum) in sum.iter_mut().enumerate() {
+                        let [a, b, d] = [0, 1, 2].map(|k| vector.weights[k] * f32x8::splat(corners[k][c]));
+                        *sum += *mask * (a + b + d);
                     }
+                }
+            });
+            for (vector, sum) in vectors.iter().zip(sums) {
+                let lanes = sum.map(f32x8::to_array);
+                for (i, pixel) in vector.pixels.clone().enumerate() {
+                    let pixel = &mut blocked[pixel - tile.pixels.start];
+                    (0..3).for_each(|c| pixel[c] += lanes[c][i]);
                 }
             }
         });
     }
-}
 
-/// The setting `source_angle_deg`, rad.
-pub(crate) fn max_angle(settings: &Render) -> Result<f32, Problem> {
-    if settings.source_angle_deg > 0.0 {
-        return Ok(settings.source_angle_deg.to_radians() as f32);
-    }
-    let value = settings.source_angle_deg.to_string();
-    Err(Problem::Setting { name: "source_angle_deg", value, range: "above 0" })
-}
-
-impl Mask {
-    fn blocked(&self, pixel: &Pixel, offset: Vec2, bvh: &Bvh) -> f32 {
-        let position = pixel.at(offset);
-        match self {
-            Self::Map(map) => map.blocked(position, pixel.normal),
-            Self::Rays(origin) => ray_blocked(origin, position, pixel.normal, bvh),
+    /// For each cluster that loses light in a tile, in order: its irradiance at the tile's vertices, and the share of it
+    /// that each of the tile's vectors loses.
+    fn masks(&self, batch: &Batch, tile: &Tile, maps: &[u32], mut each: impl FnMut(&[[f32; 3]], &[f32x8])) {
+        let vectors = &self.prepared.vectors[tile.vectors.clone()];
+        let pixels = &self.prepared.pixels;
+        let mut masks = vec![f32x8::ZERO; vectors.len()];
+        let mut corners = vec![[0.0f32; 3]; tile.vertices.len()];
+        let plan = |m: u32| &batch.maps[(m - batch.first) as usize];
+        for maps in maps.chunk_by(|&a, &b| plan(a).cluster == plan(b).cluster) {
+            let cluster = plan(maps[0]).cluster;
+            for (corner, &v) in corners.iter_mut().zip(&tile.vertices) {
+                *corner = batch.columns.at(v, cluster);
+            }
+            if corners.iter().all(|c| *c == [0.0; 3]) {
+                continue;
+            }
+            let (mut whole, mut in_part) = (0.0, false);
+            for &m in maps {
+                let plan = plan(m);
+                let weight = f32x8::splat(plan.weight);
+                match &batch.masks[(m - batch.first) as usize] {
+                    Mask::Map(map) => match map.cover(tile.centre, tile.radius) {
+                        Cover::Nothing => {}
+                        Cover::Everything => whole += plan.weight,
+                        Cover::Part => {
+                            in_part = true;
+                            for (vector, mask) in vectors.iter().zip(&mut masks) {
+                                let pixel = &pixels[vector.pixels.start];
+                                let on = OnPlane::new(&map.map, pixel.position, pixel.normal);
+                                *mask += weight * on.blocked(&vector.positions[plan.offset]);
+                            }
+                        }
+                    },
+                    Mask::Rays(origin) => {
+                        in_part = true;
+                        for (vector, mask) in vectors.iter().zip(&mut masks) {
+                            let normal = pixels[vector.pixels.start].normal;
+                            *mask += weight * batch.rays.blocked_lanes(origin, vector, plan.offset, normal);
+                        }
+                    }
+                }
+            }
+            if whole > 0.0 || in_part {
+                let whole = f32x8::splat(whole);
+                masks.iter_mut().for_each(|m| *m += whole);
+                each(&corners, &masks);
+                masks.fill(f32x8::ZERO);
+            }
         }
     }
 }
 
-/// Whether the occluder stands between a receiver and an origin that is too near for a map.
-fn ray_blocked(origin: &ShadowOrigin, position: Vec3, normal: Vec3, bvh: &Bvh) -> f32 {
-    let from = position + normal * 1e-4;
-    let hit = match *origin {
-        ShadowOrigin::Point(p) => bvh.occluded(from, p),
-        ShadowOrigin::Direction(d) => bvh.any_hit(from, d, 0.0, f32::INFINITY),
-    };
-    if hit { 1.0 } else { 0.0 }
+/// Ranges of maps of whole clusters, few enough to be held.
+pub(crate) fn batches(maps: &[MapPlan]) -> Vec<Range<usize>> {
+    let (mut batches, mut start, mut texels, mut at) = (Vec::new(), 0, 0, 0);
+    for cluster in maps.chunk_by(|a, b| a.cluster == b.cluster) {
+        let more: usize = cluster.iter().map(|m| m.size * m.size).sum();
+        let clusters = cluster[0].cluster - maps[start].cluster;
+        if at > start && (texels + more > BATCH_TEXELS || clusters as usize >= BATCH_CLUSTERS) {
+            batches.push(start..at);
+            (start, texels) = (at, 0);
+        }
+        texels += more;
+        at += cluster.len();
+    }
+    if at > start {
+        batches.push(start..at);
+    }
+    batches
+}
+
+impl<'a> Batch<'a> {
+    fn draw(maps: &'a [MapPlan], first: u32, columns: Columns, occluder: &Occluder, rays: &'a Rays) -> Self {
+        let mask = |plan: &MapPlan| match &plan.projection {
+            Some(projection) => Mask::Map(Pyramid::new(rasterise(projection, occluder, plan.size))),
+            None => Mask::Rays(plan.origin),
+        };
+        Self { maps, first, masks: maps.par_iter().map(mask).collect(), columns, rays }
+    }
+}
+
+impl Columns {
+    /// Irradiance that a cluster sends to a receiver vertex.
+    pub fn at(&self, vertex: u32, cluster: u32) -> [f32; 3] {
+        let (row, column) = (self.row[vertex as usize] as usize, (cluster - self.first) as usize);
+        [0, 1, 2].map(|c| self.irradiance[(row, column, c)])
+    }
+}
+
+impl Rays {
+    fn new(occluder: &Occluder) -> Self {
+        Self { bvh: Bvh::new(&occluder.vertices, &occluder.triangles), bounds: Bounds::of(occluder) }
+    }
+
+    /// Whether the occluder stands between a receiver and an origin that is too near for a map.
+    fn blocked(&self, origin: &ShadowOrigin, position: Vec3, normal: Vec3) -> bool {
+        let from = position + normal * 1e-4;
+        match *origin {
+            ShadowOrigin::Point(p) => self.near(from, p - from, true) && self.bvh.occluded(from, p),
+            ShadowOrigin::Direction(d) => {
+                self.near(from, d, false) && self.bvh.any_hit(from, d, 0.0, f32::INFINITY)
+            }
+        }
+    }
+
+    /// Whether a segment or ray passes the occluder's bounding sphere.
+    fn near(&self, from: Vec3, v: Vec3, ends: bool) -> bool {
+        let to = self.bounds.centre - from;
+        let along = (to.dot(v) / v.length_squared()).max(0.0);
+        let nearest = v * if ends { along.min(1.0) } else { along };
+        nearest.distance_squared(to) <= self.bounds.radius * self.bounds.radius
+    }
+
+    fn blocked_lanes(&self, origin: &ShadowOrigin, vector: &Vector, offset: usize, normal: Vec3) -> f32x8 {
+        let [x, y, z] = vector.positions[offset].map(f32x8::to_array);
+        let mut share = [0.0; 8];
+        for (i, share) in share.iter_mut().enumerate().take(vector.pixels.len()) {
+            *share = f32::from(self.blocked(origin, Vec3::new(x[i], y[i], z[i]), normal));
+        }
+        f32x8::new(share)
+    }
 }

@@ -2,6 +2,7 @@
 //! samples at texel centres, top-left edges, depth affine over the map.
 
 use super::Occluder;
+use super::lookup::slope;
 use super::projection::Projection;
 use glam::Vec3;
 
@@ -128,10 +129,7 @@ impl ShadowMap {
         if near.iter().all(|&depth| depth >= EMPTY) {
             return 0.0;
         }
-        let plane = self.projection.planes * normal.extend(-normal.dot(position));
-        let limit = STEEPEST / self.size as f32;
-        let slope = |n: f32| if plane.z == 0.0 { 0.0 } else { (-n / plane.z).clamp(-limit, limit) };
-        let (du, dv) = (slope(plane.x), slope(plane.y));
+        let [du, dv] = slope(&self.projection, self.size, position, normal);
         let (fu, fv) = (u - column, v - row);
         let corner = d - DEPTH_BIAS - du * fu - dv * fv;
         let hit = |i: usize, depth: f32| if near[i] < depth.min(EMPTY) { 1.0 } else { 0.0 };

@@ -3,14 +3,15 @@
 //! ε = B · E_blocked / E, with E_blocked = Σ_j L_j ∫ V_scene (1 − V_object) cos θ cos θ′ / r² dA over the sources that
 //! the object's bounding sphere can hide from the pixel at all, and E the same integral without the object, from the same
 //! samples, plus the interpolated irradiance of all other light. Neither the interpolation of the blocked transfers
-//! between vertices nor shadow maps enter.
+//! between vertices nor their traversal, clusters or shadow maps enter; the transfers say only where samples are worth
+//! taking.
 
-use super::tiles::{Pixel, Prepared};
+use super::tiles::{Pixel, Prepared, Tile};
 use super::{Bounds, Occluder, Problem, Removed, Scene};
 use crate::config::Render;
 use crate::image::{Radiance, RadianceImage, luminance};
-use crate::transfer::SourceKind;
 use crate::transfer::sampling::{Shift, in_cap, on_triangle};
+use crate::transfer::{SourceKind, Transfers};
 use crate::visibility::Bvh;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
@@ -21,12 +22,20 @@ const BEYOND_M: f32 = 1e5;
 
 struct Tracer<'a> {
     lights: Vec<Light>,
-    /// Luminance that source j sends to vertex v, [v][j]: sampling weights.
-    weights: Vec<Vec<f32>>,
+    transfers: &'a Transfers,
     scene: Bvh,
     object: Bvh,
     bounds: Bounds,
     settings: &'a Render,
+}
+
+/// What a tile's pixels may lose.
+struct Lit<'a> {
+    tile: &'a Tile,
+    /// Sources that the object may hide from some of the pixels, ascending.
+    sources: Vec<u32>,
+    /// Irradiance from them at each of the tile's vertices, plate units.
+    irradiance: Vec<Vec<[f32; 3]>>,
 }
 
 enum Shape {
@@ -59,47 +68,46 @@ pub fn raytraced(scene: &Scene, occluder: &Occluder, settings: &Render) -> Resul
     let prepared = Prepared::new(scene, settings)?;
     let tracer = Tracer::new(scene, occluder, settings);
     let found: Vec<[Radiance; 2]> = prepared
-        .pixels
-        .par_chunks(64)
-        .flat_map_iter(|pixels| {
+        .tiles
+        .par_iter()
+        .flat_map_iter(|tile| {
+            let lit = tracer.lit(tile);
             let mut buffers = (Vec::new(), Vec::new());
-            pixels
-                .iter()
-                .map(|pixel| {
-                    tracer.halves(pixel, prepared.plate.pixels()[pixel.index as usize], &mut buffers)
-                })
-                .collect::<Vec<_>>()
+            let halves = |pixel: &Pixel| {
+                tracer.halves(pixel, &lit, scene.plate.pixels()[pixel.index as usize], &mut buffers)
+            };
+            prepared.pixels[tile.pixels.clone()].iter().map(halves).collect::<Vec<_>>()
         })
         .collect();
-    let (width, height) = prepared.plate.size();
+    let (width, height) = scene.plate.size();
     let mut epsilon = vec![Radiance::default(); width * height];
     let (mut error, mut signal) = (0.0, 0.0);
     for (pixel, [a, b]) in prepared.pixels.iter().zip(&found) {
         let index = pixel.index as usize;
         let mean = std::array::from_fn(|c| (a.0[c] + b.0[c]) / 2.0);
         epsilon[index] = Radiance(mean);
-        if luminance(mean) > 0.02 * prepared.plate.pixels()[index].luminance() {
+        if luminance(mean) > 0.02 * scene.plate.pixels()[index].luminance() {
             for (c, m) in mean.iter().enumerate() {
                 error += f64::from((a.0[c] - b.0[c]) / 2.0).powi(2);
                 signal += f64::from(*m).powi(2);
             }
         }
     }
-    let chosen = scene.chosen(settings);
     Ok(Removed {
         epsilon: RadianceImage::from_pixels(width, height, epsilon),
         noise: Some(if signal > 0.0 { (error / signal).sqrt() } else { 0.0 }),
-        sources_used: chosen.len(),
+        sources_used: scene.transfers.sources.len(),
+        passes: 0,
         shadow_maps: 0,
-        left_out_share: scene.left_out_share(&chosen),
+        expected_error: None,
+        left_out_share: scene.transfers.left_out_share,
     })
 }
 
 impl<'a> Tracer<'a> {
-    fn new(scene: &Scene, occluder: &Occluder, settings: &'a Render) -> Self {
+    fn new(scene: &Scene<'a>, occluder: &Occluder, settings: &'a Render) -> Self {
         let mesh = &scene.light.mesh;
-        let chosen = scene.chosen(settings);
-        let sources = chosen.iter().map(|&j| &scene.transfers.sources[j]);
+        let sources = &scene.transfers.sources;
         let shape = |kind| match kind {
             SourceKind::Patch(i) => {
                 let i = i as usize;
@@ -113,17 +121,13 @@ impl<'a> Tracer<'a> {
                 Shape::Distant { direction: d.direction, solid_angle: d.solid_angle_sr, angular_radius }
             }
         };
-        let lights: Vec<Light> =
-            sources.map(|s| Light { shape: shape(s.kind), radiance: s.radiance(scene.light) }).collect();
-        let transfer = scene.transfer(&chosen);
-        let weights = (0..transfer.ncols())
-            .map(|v| {
-                lights.iter().enumerate().map(|(j, l)| luminance(l.radiance) * transfer[(j, v)]).collect()
-            })
+        let lights: Vec<Light> = sources
+            .iter()
+            .map(|s| Light { shape: shape(s.kind), radiance: s.radiance(scene.light) })
             .collect();
         Self {
             lights,
-            weights,
+            transfers: scene.transfers,
             scene: Bvh::new(&mesh.vertices, &mesh.triangles()),
             object: Bvh::new(&occluder.vertices, &occluder.triangles),
             bounds: Bounds::of(occluder),
@@ -131,18 +135,34 @@ impl<'a> Tracer<'a> {
         }
     }
 
+    /// The light of a tile that the object may take.
+    fn lit<'t>(&self, tile: &'t Tile) -> Lit<'t> {
+        let mut all = vec![[0.0; 3]; self.lights.len()];
+        let near = |j: &u32| self.can_hide(&self.lights[*j as usize], tile.centre, tile.radius);
+        let sources: Vec<u32> = (0..self.lights.len() as u32).filter(near).collect();
+        let mut irradiance = Vec::with_capacity(tile.vertices.len());
+        if !sources.is_empty() {
+            for &vertex in &tile.vertices {
+                self.transfers.expand(vertex, &mut all);
+                irradiance.push(sources.iter().map(|&j| all[j as usize]).collect());
+            }
+        }
+        Lit { tile, sources, irradiance }
+    }
+
     /// ε from the even and from the odd samples: two independent-enough answers whose difference tells the noise.
     fn halves(
         &self,
         pixel: &Pixel,
+        lit: &Lit,
         plate: Radiance,
         (weights, samples): &mut (Vec<f32>, Vec<Sample>),
     ) -> [Radiance; 2] {
-        let (total, rest) = self.pixel_weights(pixel, weights);
+        let (total, rest) = self.pixel_weights(pixel, lit, weights);
         if total <= 0.0 {
             return [Radiance::default(); 2];
         }
-        self.draw(pixel, weights, total, samples);
+        self.draw(pixel, lit, weights, total, samples);
         if !samples.iter().any(|s| s.blocked) {
             return [Radiance::default(); 2];
         }
@@ -168,36 +188,41 @@ impl<'a> Tracer<'a> {
 
     /// What each source that the object could hide sends to the pixel by the interpolated transfers; gives their sum
     /// (luminance) and the irradiance from all other light.
-    fn pixel_weights(&self, pixel: &Pixel, weights: &mut Vec<f32>) -> (f64, [f64; 3]) {
-        let [a, b, c] = pixel.columns.map(|column| &self.weights[column as usize]);
-        let [wa, wb, wc] = pixel.barycentric.map(|w| w.max(0.0));
+    fn pixel_weights(&self, pixel: &Pixel, lit: &Lit, weights: &mut Vec<f32>) -> (f64, [f64; 3]) {
         weights.clear();
         let (mut total, mut rest) = (0.0, pixel.irradiance.map(f64::from));
-        for (light, ((a, b), c)) in self.lights.iter().zip(a.iter().zip(b).zip(c)) {
-            let mut weight = a * wa + b * wb + c * wc;
-            if weight > 0.0 && !self.can_hide(light, pixel) {
+        if lit.sources.is_empty() {
+            return (total, rest);
+        }
+        let corner = |v: u32| &lit.irradiance[lit.tile.vertices.partition_point(|&w| w < v)];
+        let corners = pixel.vertices.map(corner);
+        for (i, &j) in lit.sources.iter().enumerate() {
+            let mut sent = [0.0; 3];
+            for (corner, w) in corners.iter().zip(pixel.weights) {
+                (0..3).for_each(|k| sent[k] += corner[i][k] * w.max(0.0));
+            }
+            let mut weight = luminance(sent);
+            if weight > 0.0 && !self.can_hide(&self.lights[j as usize], pixel.position, pixel.reach()) {
                 weight = 0.0;
             }
             if weight > 0.0 {
                 total += f64::from(weight);
-                let luminance = f64::from(luminance(light.radiance));
-                (0..3).for_each(|k| rest[k] -= f64::from(weight) * f64::from(light.radiance[k]) / luminance);
+                (0..3).for_each(|k| rest[k] -= f64::from(sent[k]));
             }
             weights.push(weight);
         }
         (total, rest.map(|c| c.max(0.0)))
     }
 
-    /// Whether the bounding spheres of object and source overlap as seen from `x`.
-    fn can_hide(&self, light: &Light, pixel: &Pixel) -> bool {
-        let x = pixel.position;
+    /// Whether the bounding spheres of object and source may overlap as seen from within a sphere around `x`.
+    fn can_hide(&self, light: &Light, x: Vec3, reach: f32) -> bool {
         let cap = |v: Vec3, radius: f32| {
             let distance = v.length();
             (v / distance, (radius / distance).min(1.0), distance > radius)
         };
-        let (object, sine, outside) = cap(self.bounds.centre - x, self.bounds.radius + pixel.reach());
+        let (object, sine, outside) = cap(self.bounds.centre - x, self.bounds.radius + reach);
         let (source, sine_source, outside_source) = match &light.shape {
-            Shape::Patch { centroid, radius, .. } => cap(*centroid - x, *radius),
+            Shape::Patch { centroid, radius, .. } => cap(*centroid - x, *radius + reach),
             Shape::Distant { direction, angular_radius, .. } => {
                 (*direction, angular_radius.sin(), *angular_radius < std::f32::consts::FRAC_PI_2)
             }
@@ -208,7 +233,7 @@ impl<'a> Tracer<'a> {
     }
 
     /// Samples in proportion to the weights, stratified over their cumulative sum.
-    fn draw(&self, pixel: &Pixel, weights: &[f32], total: f64, samples: &mut Vec<Sample>) {
+    fn draw(&self, pixel: &Pixel, lit: &Lit, weights: &[f32], total: f64, samples: &mut Vec<Sample>) {
         let n = self.settings.rays;
         let shift = Shift::new(self.settings.seed, u64::from(pixel.index));
         let within = Shift::new(!self.settings.seed, u64::from(pixel.index));
@@ -223,7 +248,9 @@ impl<'a> Tracer<'a> {
             let offset = Vec2::new(within.jitter(2 * i), within.jitter(2 * i + 1)) - 0.5;
             let from = pixel.at(offset) + pixel.normal * OFFSET_M;
             let density = f64::from(weights[j]) / total * n as f64;
-            let sample = if density > 0.0 { self.sample(pixel, from, j, shift, i, density) } else { None };
+            let source = lit.sources[j] as usize;
+            let sample =
+                if density > 0.0 { self.sample(pixel, from, source, shift, i, density) } else { None };
             samples.push(sample.unwrap_or_default());
         }
     }

@@ -1,12 +1,20 @@
-//! The static side of a frame: receiver pixels in square tiles, with their columns of the transfers.
+//! The static side of a frame: receiver pixels in square tiles, and in vectors of eight that share a receiver triangle.
 
-use super::{Problem, Scene};
+use super::projection::OFFSETS;
+use super::{Problem, Receivers, Scene};
 use crate::config::Render;
 use crate::image::{Radiance, RadianceImage};
 use glam::{Vec2, Vec3};
+use rayon::prelude::*;
+use std::ops::Range;
+use wide::f32x8;
 
 /// Side of a tile, px.
 const TILE_PX: usize = 16;
+/// Side of a block of tiles, px.
+const BLOCK_PX: usize = 64;
+/// Pixels of a vector.
+pub(crate) const LANES: usize = 8;
 
 /// A receiver pixel with what its shadow needs.
 #[derive(Debug, Clone, Copy)]
@@ -15,32 +23,59 @@ pub(crate) struct Pixel {
     pub normal: Vec3,
     /// One pixel to the right and one down on the surface, m.
     pub footprint: [Vec3; 2],
-    /// Their weights.
-    pub barycentric: [f32; 3],
     /// Receiver vertices around it.
-    pub columns: [u32; 3],
+    pub vertices: [u32; 3],
+    /// Their weights.
+    pub weights: [f32; 3],
+    pub patch: u32,
     /// Index into the plate.
     pub index: u32,
     /// Irradiance from all light, plate units.
     pub irradiance: [f32; 3],
 }
 
+/// Up to eight neighbouring pixels on one receiver triangle; lanes beyond them repeat the first.
+#[derive(Debug, Clone)]
+pub(crate) struct Vector {
+    /// Numbers of its pixels.
+    pub pixels: Range<usize>,
+    /// Positions at each of [`OFFSETS`], m.
+    pub positions: [[f32x8; 3]; OFFSETS.len()],
+    /// Weights of the triangle's vertices.
+    pub weights: [f32x8; 3],
+    /// The triangle's vertices, as indices into [`Tile::vertices`].
+    pub corners: [u16; 3],
+}
+
 /// Neighbouring pixels within a sphere.
 #[derive(Debug, Clone)]
 pub(crate) struct Tile {
-    pub pixels: std::ops::Range<usize>,
+    pub pixels: Range<usize>,
+    pub vectors: Range<usize>,
     pub centre: Vec3,
     pub radius: f32,
-    /// Columns of the transfers that its pixels use, ascending.
-    pub columns: Vec<u32>,
+    /// Receiver vertices that its pixels use, ascending.
+    pub vertices: Vec<u32>,
+    /// Receiver patches that its pixels see, ascending.
+    pub patches: Vec<u32>,
 }
 
-/// All receiver pixels, tile by tile.
+/// Neighbouring tiles within a sphere.
+#[derive(Debug, Clone)]
+pub(crate) struct Block {
+    pub tiles: Range<usize>,
+    pub pixels: Range<usize>,
+    pub centre: Vec3,
+    pub radius: f32,
+}
+
+/// All receiver pixels: block by block, tile by tile, vector by vector.
 #[derive(Debug, Clone)]
 pub(crate) struct Prepared {
     pub pixels: Vec<Pixel>,
+    pub vectors: Vec<Vector>,
     pub tiles: Vec<Tile>,
-    pub plate: RadianceImage,
+    pub blocks: Vec<Block>,
 }
 
 impl Pixel {
@@ -53,12 +88,6 @@ impl Pixel {
     pub fn reach(&self) -> f32 {
         let [a, b] = self.footprint;
         ((a + b).length()).max((a - b).length()) / 2.0
-    }
-
-    /// A row of the transfers at this pixel.
-    pub fn interpolate(&self, row: &[f32]) -> f32 {
-        let [a, b, c] = self.columns.map(|column| row[column as usize]);
-        a * self.barycentric[0] + b * self.barycentric[1] + c * self.barycentric[2]
     }
 
     /// ε from the irradiance that is blocked: the plate's radiance times the blocked share.
@@ -79,67 +108,148 @@ impl Prepared {
             return Err(Problem::Setting { name: "shadow_map_px", value, range: "between 16 and 8192" });
         }
         let (width, height) = scene.plate.size();
-        let (mut pixels, mut tiles) = (Vec::new(), Vec::new());
-        for y in (0..height).step_by(TILE_PX) {
-            for x in (0..width).step_by(TILE_PX) {
-                let start = pixels.len();
-                for (y, x) in (y..height.min(y + TILE_PX))
-                    .flat_map(|y| (x..width.min(x + TILE_PX)).map(move |x| (y, x)))
-                {
-                    pixels.extend(pixel(scene, x, y)?);
-                }
-                tiles.extend(tile(&pixels, start));
-            }
+        let corners: Vec<(usize, usize)> = squares([0, 0], [width, height], BLOCK_PX).collect();
+        let parts: Vec<_> =
+            corners.into_par_iter().map(|corner| Part::new(scene, corner)).collect::<Result<_, _>>()?;
+        let mut all = Self { pixels: Vec::new(), vectors: Vec::new(), tiles: Vec::new(), blocks: Vec::new() };
+        for part in parts {
+            all.append(part);
         }
-        Ok(Self { pixels, tiles, plate: scene.plate.clone() })
+        Ok(all)
+    }
+
+    fn append(&mut self, part: Part) {
+        let (pixels, vectors, tiles) = (self.pixels.len(), self.vectors.len(), self.tiles.len());
+        let moved = |r: &Range<usize>, by: usize| r.start + by..r.end + by;
+        if let Some((centre, radius)) = sphere(part.tiles.iter().map(|t| (t.centre, t.radius))) {
+            self.blocks.push(Block {
+                tiles: tiles..tiles + part.tiles.len(),
+                pixels: pixels..pixels + part.pixels.len(),
+                centre,
+                radius,
+            });
+        }
+        self.pixels.extend(part.pixels);
+        self.vectors
+            .extend(part.vectors.into_iter().map(|v| Vector { pixels: moved(&v.pixels, pixels), ..v }));
+        self.tiles.extend(part.tiles.into_iter().map(|t| Tile {
+            pixels: moved(&t.pixels, pixels),
+            vectors: moved(&t.vectors, vectors),
+            ..t
+        }));
     }
 
     /// ε of all pixels from the blocked irradiance of each receiver pixel.
-    pub fn epsilon(&self, blocked: &[[f32; 3]]) -> RadianceImage {
-        let (width, height) = self.plate.size();
+    pub fn epsilon(&self, plate: &RadianceImage, blocked: &[[f32; 3]]) -> RadianceImage {
+        let (width, height) = plate.size();
         let mut epsilon = vec![Radiance::default(); width * height];
         for (pixel, &blocked) in self.pixels.iter().zip(blocked) {
-            let index = pixel.index as usize;
-            epsilon[index] = pixel.removed(self.plate.pixels()[index], blocked);
+            if blocked != [0.0; 3] {
+                let index = pixel.index as usize;
+                epsilon[index] = pixel.removed(plate.pixels()[index], blocked);
+            }
         }
         RadianceImage::from_pixels(width, height, epsilon)
     }
 }
 
-fn pixel(scene: &Scene, x: usize, y: usize) -> Result<Option<Pixel>, Problem> {
-    let Some(receiver) = scene.receivers.pixels.at(x, y) else { return Ok(None) };
-    let mesh = &scene.transfers.receivers;
-    let (columns, barycentric) =
-        mesh.locate(receiver.patch, receiver.barycentric).ok_or_else(|| Problem::Mismatch {
-            what: "patch seen by the plate",
-            found: format!("patch {} has no transfers", receiver.patch),
-            expected: format!("one of {} receiver patches", mesh.patches.len()),
-        })?;
+/// Upper left corners of squares that cover a rectangle, row by row.
+fn squares(low: [usize; 2], high: [usize; 2], side: usize) -> impl Iterator<Item = (usize, usize)> {
+    let columns = move |y| (low[0]..high[0]).step_by(side).map(move |x| (x, y));
+    (low[1]..high[1]).step_by(side).flat_map(columns)
+}
+
+/// A block with numbers of its own.
+#[derive(Default)]
+struct Part {
+    pixels: Vec<Pixel>,
+    vectors: Vec<Vector>,
+    tiles: Vec<Tile>,
+}
+
+impl Part {
+    fn new(scene: &Scene, (x, y): (usize, usize)) -> Result<Self, Problem> {
+        let (width, height) = scene.plate.size();
+        let mut part = Self::default();
+        for (x, y) in squares([x, y], [width.min(x + BLOCK_PX), height.min(y + BLOCK_PX)], TILE_PX) {
+            let first = part.pixels.len();
+            for (y, x) in
+                (y..height.min(y + TILE_PX)).flat_map(|y| (x..width.min(x + TILE_PX)).map(move |x| (y, x)))
+            {
+                part.pixels.extend(pixel(scene, scene.receivers, x, y)?);
+            }
+            // Stable: within a triangle pixels stay in the order of their rows.
+            part.pixels[first..].sort_by_key(|p| p.vertices);
+            part.add_tile(first);
+        }
+        Ok(part)
+    }
+
+    fn add_tile(&mut self, first: usize) {
+        let members = &self.pixels[first..];
+        let Some((centre, radius)) = sphere(members.iter().map(|p| (p.position, p.reach()))) else { return };
+        let sorted = |mut ids: Vec<u32>| {
+            ids.sort_unstable();
+            ids.dedup();
+            ids
+        };
+        let vertices = sorted(members.iter().flat_map(|p| p.vertices).collect());
+        let patches = sorted(members.iter().map(|p| p.patch).collect());
+        let (start, mut at) = (self.vectors.len(), first);
+        for group in members.chunk_by(|a, b| a.vertices == b.vertices) {
+            for lanes in group.chunks(LANES) {
+                self.vectors.push(Vector::new(lanes, at, &vertices));
+                at += lanes.len();
+            }
+        }
+        let (pixels, vectors) = (first..self.pixels.len(), start..self.vectors.len());
+        self.tiles.push(Tile { pixels, vectors, centre, radius, vertices, patches });
+    }
+}
+
+impl Vector {
+    fn new(pixels: &[Pixel], first: usize, vertices: &[u32]) -> Self {
+        let lane = |i: usize| pixels.get(i).unwrap_or(&pixels[0]);
+        let lanes = |value: &dyn Fn(&Pixel) -> f32| f32x8::new(std::array::from_fn(|i| value(lane(i))));
+        Self {
+            pixels: first..first + pixels.len(),
+            positions: OFFSETS.map(|o| [0, 1, 2].map(|k| lanes(&|p| p.at(o)[k]))),
+            weights: [0, 1, 2].map(|k| lanes(&|p| p.weights[k])),
+            corners: pixels[0].vertices.map(|v| vertices.partition_point(|&w| w < v) as u16),
+        }
+    }
+}
+
+/// Around spheres.
+fn sphere(members: impl Iterator<Item = (Vec3, f32)> + Clone) -> Option<(Vec3, f32)> {
+    let min = members.clone().map(|(p, r)| p - r).reduce(Vec3::min)?;
+    let max = members.clone().map(|(p, r)| p + r).reduce(Vec3::max)?;
+    let centre = (min + max) / 2.0;
+    Some((centre, members.map(|(p, r)| p.distance(centre) + r).fold(0.0, f32::max)))
+}
+
+fn pixel(scene: &Scene, receivers: &Receivers, x: usize, y: usize) -> Result<Option<Pixel>, Problem> {
+    let Some(receiver) = receivers.pixels.at(x, y) else { return Ok(None) };
+    let located = scene.transfers.receivers.locate(receiver.patch, receiver.barycentric);
+    let (vertices, weights) = located.ok_or_else(|| Problem::Mismatch {
+        what: "patch seen by the plate",
+        found: format!("patch {} has no transfers", receiver.patch),
+        expected: format!("one of {} receiver patches", scene.transfers.receivers.patches.len()),
+    })?;
     let mut irradiance = [0.0; 3];
-    for (weight, column) in barycentric.iter().zip(columns) {
+    for (weight, vertex) in weights.iter().zip(vertices) {
         for (c, sum) in irradiance.iter_mut().enumerate() {
-            *sum += weight * scene.transfers.irradiance[(column as usize, c)];
+            *sum += weight * scene.transfers.irradiance[(vertex as usize, c)];
         }
     }
     Ok(Some(Pixel {
         position: receiver.position,
         normal: receiver.normal,
         footprint: receiver.footprint,
-        barycentric,
-        columns,
+        vertices,
+        weights,
+        patch: receiver.patch,
         index: (y * scene.plate.width() + x) as u32,
         irradiance,
     }))
-}
-
-fn tile(pixels: &[Pixel], start: usize) -> Option<Tile> {
-    let members = &pixels[start..];
-    let min = members.iter().map(|p| p.position).reduce(Vec3::min)?;
-    let max = members.iter().map(|p| p.position).reduce(Vec3::max)?;
-    let centre = (min + max) / 2.0;
-    let radius = members.iter().map(|p| p.position.distance(centre) + p.reach()).fold(0.0, f32::max);
-    let mut columns: Vec<u32> = members.iter().flat_map(|p| p.columns).collect();
-    columns.sort_unstable();
-    columns.dedup();
-    Some(Tile { columns, pixels: start..pixels.len(), centre, radius })
 }

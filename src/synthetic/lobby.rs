@@ -3,7 +3,7 @@
 use super::shapes::{blob, camera, face};
 use crate::camera::Camera;
 use crate::illuminate::patch::{LightModel, PatchMesh};
-use crate::image::{Image, Radiance, RadianceImage};
+use crate::image::{Radiance, RadianceImage};
 use crate::shadow::{Occluder, Receivers};
 use glam::Vec3;
 
@@ -71,7 +71,9 @@ pub fn lobby(edge: f32) -> LightModel {
     let (x, y, z) = (Vec3::X, Vec3::Y, Vec3::Z);
     let low = Vec3::new(-HALF.x, 0.0, -HALF.z);
     let (w, h, d) = (x * 2.0 * HALF.x, y * HALF.y, z * 2.0 * HALF.z);
-    for (corner, u, v) in [(low, d, w), (low + h, w, d), (low, h, d), (low + w, d, h), (low, w, h), (low + d, h, w)] {
+    for (corner, u, v) in
+        [(low, d, w), (low + h, w, d), (low, h, d), (low + w, d, h), (low, w, h), (low + d, h, w)]
+    {
         let normal = u.cross(v).normalize();
         face(&mut mesh, corner, u, v, edge, |p| surface(p, normal));
     }
