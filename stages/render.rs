@@ -7,7 +7,7 @@ use insitu::illuminate;
 use insitu::irradiance::{Beams, Volume};
 use insitu::model::{Scene, face};
 use insitu::render::{self, Environment, Lighting, Object, Shadowed};
-use insitu::shadow::{self, Occluder, Receivers};
+use insitu::shadow::{self, Caster, Occluder, Receivers, Session};
 use insitu::stage::{Context, Input, digest_file};
 use insitu::transfer::Transfers;
 use insitu::visibility::Bvh;
@@ -36,10 +36,21 @@ fn main() -> std::process::ExitCode {
         let occluder = Occluder { vertices: object.vertices.clone(), triangles: object.triangles.clone() };
         let shadows =
             shadow::Scene { light: &light, transfers: &transfers, receivers: &receivers, plate: &plate };
-        let removed = shadow::removed_radiance(&shadows, &occluder, settings).doing("finding the shadow")?;
-        ctx.figure("shadow_s", started.elapsed().as_secs_f64());
+        let mut session = Session::prepare(&shadows, settings).doing("preparing the shadow method")?;
+        ctx.figure("shadow_preparation_s", started.elapsed().as_secs_f64());
+        let caster = Caster::of(&occluder, settings);
+        ctx.figure("caster_triangles", caster.occluder.triangles.len());
+        ctx.figure("caster_error_m", f64::from(caster.error_m));
+        let frame = session.frame(&caster.occluder).doing("finding the shadow")?;
+        let removed = frame.removed;
+        ctx.figure("shadow_s", frame.seconds);
         ctx.figure("sources_used", removed.sources_used);
+        ctx.figure("passes", removed.passes);
+        ctx.figure("shadow_maps", removed.shadow_maps);
         ctx.figure("left_out_share", removed.left_out_share);
+        if let Some(error) = removed.expected_error {
+            ctx.figure("expected_shadow_error", error);
+        }
         if let Some(noise) = removed.noise {
             ctx.figure("shadow_noise", noise);
         }

@@ -13,7 +13,7 @@ use rand::{Rng, SeedableRng, rngs::SmallRng};
 use room::{Stage, blob, camera, cuboid, stage};
 
 /// `None`, said aloud, where there is no adapter.
-fn gpu(stage: &Stage, settings: &Render) -> Option<gpu::RadianceTransfer> {
+fn gpu<'a>(stage: &'a Stage, settings: &Render) -> Option<gpu::RadianceTransfer<'a>> {
     match gpu::RadianceTransfer::prepare(&stage.scene(), settings) {
         Ok(gpu) => Some(gpu),
         Err(e @ shadow::Problem::Gpu(gpu::Problem::NoAdapter(_))) => {

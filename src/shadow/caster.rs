@@ -1,6 +1,7 @@
 //! A coarser object for shadow maps (Gibson et al. 2003, §7.2).
 
 use super::Occluder;
+use crate::config::{Render, ShadowMethod};
 use glam::Vec3;
 use meshopt::{SimplifyOptions, simplify_decoder};
 use rayon::prelude::*;
@@ -22,6 +23,14 @@ pub struct Caster {
 }
 
 impl Caster {
+    /// What the method that the settings name looks at: rays see the whole object.
+    pub fn of(occluder: &Occluder, settings: &Render) -> Self {
+        match settings.method {
+            ShadowMethod::Raytraced => Self::new(occluder, 0),
+            ShadowMethod::RadianceTransfer => Self::new(occluder, settings.caster_triangles),
+        }
+    }
+
     /// The object with about `triangles` triangles (0: as it is), more where they are needed to keep its shape. An
     /// object that has few is left as it is. Open borders stay where they are.
     pub fn new(occluder: &Occluder, triangles: usize) -> Self {

@@ -17,7 +17,7 @@ mod representatives;
 mod session;
 mod tiles;
 
-use crate::config::{Render, ShadowMethod};
+use crate::config::Render;
 use crate::illuminate::patch::LightModel;
 use crate::image::RadianceImage;
 use crate::transfer::{SourceKind, Transfers};
@@ -134,14 +134,8 @@ impl error::Problem for Problem {
 /// ε of one object by the method and on the back end that the settings name. Shadow maps show a simplified object.
 pub fn removed_radiance(scene: &Scene, occluder: &Occluder, settings: &Render) -> Result<Removed, Problem> {
     occluder.check()?;
-    let mut session = Session::prepare(scene, settings)?;
-    let frame = match settings.method {
-        ShadowMethod::Raytraced => session.frame(occluder),
-        ShadowMethod::RadianceTransfer => {
-            session.frame(&Caster::new(occluder, settings.caster_triangles).occluder)
-        }
-    };
-    Ok(frame?.removed)
+    let caster = Caster::of(occluder, settings);
+    Ok(Session::prepare(scene, settings)?.frame(&caster.occluder)?.removed)
 }
 
 impl Occluder {

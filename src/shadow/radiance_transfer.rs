@@ -121,20 +121,21 @@ impl<'a> RadianceTransfer<'a> {
         }
     }
 
-    /// The same answer without culling, tiles or vectors: a plain loop over pixels and maps, to compare with.
+    /// The same answer without culling, tiles or vectors: a plain loop over pixels and maps that sums in f64, to compare
+    /// with.
     pub fn removed_radiance_plainly(&self, occluder: &Occluder) -> Result<Removed, Problem> {
         occluder.check()?;
         let plan = self.plan(&self.outlook(occluder), self.passes);
-        let vertices: Vec<u32> = (0..self.scene.transfers.receivers.positions.len() as u32).collect();
+        let vertices: Vec<u32> = (0..self.vertex_count() as u32).collect();
         let rays = Rays::new(occluder);
-        let mut blocked = vec![[0.0f32; 3]; self.prepared.pixels.len()];
-        for maps in batches(&plan.maps) {
-            let columns = self.columns(&plan, &vertices, maps.clone());
-            let drawn: Vec<Option<ShadowMap>> = (plan.maps[maps.clone()].par_iter())
-                .map(|p| Some(rasterise(&p.projection?, occluder, p.size)))
-                .collect();
+        let mut blocked = vec![[0.0f64; 3]; self.prepared.pixels.len()];
+        for range in batches(&plan.maps) {
+            let columns = self.columns(&plan, &vertices, range.clone());
+            let maps = &plan.maps[range];
+            let drawn: Vec<Option<ShadowMap>> =
+                maps.par_iter().map(|p| Some(rasterise(&p.projection?, occluder, p.size))).collect();
             blocked.par_iter_mut().zip(&self.prepared.pixels).for_each(|(sum, pixel)| {
-                for (plan, map) in plan.maps[maps.clone()].iter().zip(&drawn) {
+                for (plan, map) in maps.iter().zip(&drawn) {
                     let position = pixel.at(OFFSETS[plan.offset]);
                     let share = match map {
                         Some(map) => map.blocked(position, pixel.normal),
@@ -142,14 +143,15 @@ impl<'a> RadianceTransfer<'a> {
                     };
                     if share > 0.0 {
                         let corners = pixel.vertices.map(|v| columns.at(v, plan.cluster));
-                        for c in 0..3 {
+                        for (c, sum) in sum.iter_mut().enumerate() {
                             let irradiance: f32 = (0..3).map(|k| pixel.weights[k] * corners[k][c]).sum();
-                            sum[c] += share * plan.weight * irradiance;
+                            *sum += f64::from(share * plan.weight) * f64::from(irradiance);
                         }
                     }
                 }
             });
         }
+        let blocked: Vec<_> = blocked.iter().map(|sum| sum.map(|c| c as f32)).collect();
         Ok(self.removed(&plan, &blocked))
     }
 

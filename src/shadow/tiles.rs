@@ -64,7 +64,6 @@ pub(crate) struct Tile {
 #[derive(Debug, Clone)]
 pub(crate) struct Block {
     pub tiles: Range<usize>,
-    pub pixels: Range<usize>,
     pub centre: Vec3,
     pub radius: f32,
 }
@@ -122,12 +121,7 @@ impl Prepared {
         let (pixels, vectors, tiles) = (self.pixels.len(), self.vectors.len(), self.tiles.len());
         let moved = |r: &Range<usize>, by: usize| r.start + by..r.end + by;
         if let Some((centre, radius)) = sphere(part.tiles.iter().map(|t| (t.centre, t.radius))) {
-            self.blocks.push(Block {
-                tiles: tiles..tiles + part.tiles.len(),
-                pixels: pixels..pixels + part.pixels.len(),
-                centre,
-                radius,
-            });
+            self.blocks.push(Block { tiles: tiles..tiles + part.tiles.len(), centre, radius });
         }
         self.pixels.extend(part.pixels);
         self.vectors
