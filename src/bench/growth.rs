@@ -25,8 +25,8 @@ pub(super) fn print(pictures: Option<&Path>, printer: &Printer) -> Result<()> {
         "\npre-processing of the lobby: sets, transfers, hierarchies, shafts; memory above that before",
     );
     printer.data(&format!(
-        "{:>8}{:>10}{:>10}{:>10}{:>11}{:>11}{:>10}",
-        "patches", "receivers", "vertices", "sources", "links", "time, s", "MiB"
+        "{:>8}{:>10}{:>10}{:>10}{:>11}{:>9}{:>11}{:>10}",
+        "patches", "receivers", "vertices", "sources", "links", "shafts", "time, s", "MiB"
     ));
     let (mut times, mut memories) = (Vec::new(), Vec::new());
     for wanted in PATCHES {
@@ -40,11 +40,12 @@ pub(super) fn print(pictures: Option<&Path>, printer: &Printer) -> Result<()> {
         let time = started.elapsed().as_secs_f64();
         let memory = peak_memory_mib() - before;
         printer.data(&format!(
-            "{patches:>8}{:>10}{:>10}{:>10}{:>11}{time:>11.2}{memory:>10.0}",
+            "{patches:>8}{:>10}{:>10}{:>10}{:>11}{:>9}{time:>11.2}{memory:>10.0}",
             transfers.receivers.patches.len(),
             transfers.receivers.positions.len(),
             transfers.sources.len(),
             transfers.links.node.len(),
+            transfers.shaft_counts().shafts,
         ));
         times.push((patches, time));
         memories.push((patches, memory));

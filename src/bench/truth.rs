@@ -93,6 +93,8 @@ impl Judged {
 struct Traced {
     error: f64,
     bias: f64,
+    /// By channel: light that the object sends back has its colour.
+    tint: [f64; 3],
 }
 
 impl Judged {
@@ -106,7 +108,14 @@ impl Judged {
         let (of_a, of_b) = (self.verdict(&a)?, self.verdict(&b)?);
         let truth = removed_in_truth(&self.statics.plate, &a, &of_a.comparison.removal_error);
         let error = common_error([&a, &b], &truth, &of_a.comparison.shadow_region).unwrap_or(f64::NAN);
-        Ok(Traced { error, bias: (of_a.bias + of_b.bias) / 2.0 })
+        let tint = [0, 1, 2].map(|k| {
+            let sum = |image: &RadianceImage| {
+                let inside = image.pixels().iter().zip(of_a.comparison.shadow_region.pixels());
+                inside.filter(|(_, r)| **r).map(|(p, _)| f64::from(p.0[k])).sum::<f64>()
+            };
+            (sum(&a) + sum(&b)) / 2.0 / sum(&truth) - 1.0
+        });
+        Ok(Traced { error, bias: (of_a.bias + of_b.bias) / 2.0, tint })
     }
 }
 
@@ -131,13 +140,13 @@ fn depth(plate: &RadianceImage, removed: &RadianceImage, region: &Image<bool>) -
 
 /// Prints a line for each settings file; writes truth, ours and difference into a folder, if one is given.
 pub(super) fn print(settings: &[PathBuf], pictures: Option<&Path>, printer: &Printer) -> Result<()> {
-    printer.data("\nwith the true camera, plate, scene and light: relative shadow error, energy bias (%), time of the shadow (s); raytraced:\nwithout its own noise;");
+    printer.data("\nwith the true camera, plate, scene and light: relative shadow error, energy bias (%), time of the shadow (s); raytraced:\nwithout its own noise, bias also by channel;");
     printer.data("noise: of the truth; depth: share of light gone in the darkest twentieth of the shadow, ours and truth;");
     printer
         .data("Cycles, Mitsuba: their errors with the same truth given, object on the floor (DESIGN.md §8)");
     let width = settings.iter().map(|s| validate::name(s).len()).max().unwrap_or(0).max(7);
     printer.data(&format!(
-        "{:<width$}{:>22}{:>16}{:>8}{:>14}{:>8}{:>9}",
+        "{:<width$}{:>22}{:>34}{:>8}{:>14}{:>8}{:>9}",
         "capture", "radiance-transfer", "raytraced", "noise", "depth", "Cycles", "Mitsuba"
     ));
     for file in settings {
@@ -147,6 +156,7 @@ pub(super) fn print(settings: &[PathBuf], pictures: Option<&Path>, printer: &Pri
         let took = workspace.manifest("render")?.figures.get("shadow_s").and_then(|v| v.as_f64());
         let ours = judged.verdict(&ours)?;
         let traced = judged.traced()?;
+        let tint = traced.tint.map(|b| format!("{:+.1}", 100.0 * b)).join(" ");
         let truth_file = workspace.pipeline.evaluate.truth.as_ref().map(|p| workspace.base.join(p));
         let truth = truth_file.as_deref().map(truth_at).transpose()?;
         let stem = workspace.pipeline.evaluate.reference.as_ref().and_then(|p| p.file_stem());
@@ -160,9 +170,9 @@ pub(super) fn print(settings: &[PathBuf], pictures: Option<&Path>, printer: &Pri
         let number = |v: Option<f64>| v.map_or("-".into(), |v| format!("{v:.3}"));
 
         printer.data(&format!(
-            "{name:<width$}{:>22}{:>16}{:>8}{:>14}{:>8}{:>9}",
+            "{name:<width$}{:>22}{:>34}{:>8}{:>14}{:>8}{:>9}",
             format!("{:.3} {:>+6.1} {:>6.2}", ours.error, 100.0 * ours.bias, took.unwrap_or(f64::NAN)),
-            format!("{:.3} {:>+6.1}", traced.error, 100.0 * traced.bias),
+            format!("{:.3} {:>+6.1} ({})", traced.error, 100.0 * traced.bias, tint),
             number(noise),
             format!("{:.2} / {:.2}", ours.depth[0], ours.depth[1]),
             number(beside.map(|b| b.1)),
