@@ -59,7 +59,7 @@ pub const STAGES: &[Stage] = &[
     Stage {
         name: "transfer",
         version: 2,
-        reads: &["calibrate", "illuminate"],
+        reads: &["calibrate", "model", "illuminate"],
         about: "radiance transfers from sources to receivers",
     },
     Stage {
@@ -155,6 +155,8 @@ pub struct Workspace {
     pub base: PathBuf,
     /// Work folder.
     pub work: PathBuf,
+    /// Whether that is another one than the settings name.
+    pub elsewhere: bool,
     /// The settings.
     pub pipeline: Pipeline,
 }
@@ -168,7 +170,18 @@ impl Workspace {
             _ => PathBuf::from("."),
         };
         let work = base.join(&pipeline.work);
-        Ok(Self { settings_file: settings_file.to_path_buf(), base, work, pipeline })
+        Ok(Self { settings_file: settings_file.to_path_buf(), base, work, elsewhere: false, pipeline })
+    }
+
+    /// As [`Self::open`], with another work folder if one is given.
+    pub fn open_in(settings_file: &Path, work: Option<&Path>) -> Result<Self> {
+        let mut workspace = Self::open(settings_file)?;
+        if let Some(work) = work {
+            // Manifests name inputs from the settings' folder on: only a whole path stays the same from there.
+            workspace.work = std::path::absolute(work).at("looking for the work folder", work)?;
+            workspace.elsewhere = true;
+        }
+        Ok(workspace)
     }
 
     /// Folder of a stage's result.
@@ -361,8 +374,25 @@ fn digest_folder(folder: &Path) -> Result<BTreeMap<String, String>> {
     Ok(digests)
 }
 
-fn peak_memory_mib() -> f64 {
+/// Largest resident set since the start or [`reset_peak_memory`], MiB; 0 where the system does not tell.
+pub(crate) fn peak_memory_mib() -> f64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"));
     line.and_then(|l| l.trim().trim_end_matches(" kB").parse::<f64>().ok()).map_or(0.0, |kib| kib / 1024.0)
+}
+
+/// Counts the peak from here on (Linux).
+pub(crate) fn reset_peak_memory() {
+    // Where that is not allowed the peak stays the earlier one, which is an upper bound.
+    let _ = std::fs::write("/proc/self/clear_refs", "5");
+}
+
+/// Time that all threads have computed since the start, s; 0 where the system does not tell.
+pub(crate) fn cpu_time_s() -> f64 {
+    /// Linux counts in hundredths of a second.
+    const TICKS: f64 = 100.0;
+    let text = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
+    // The second field is the program's name in parentheses; utime and stime are fields 14 and 15.
+    let fields = text.rsplit(") ").next().unwrap_or_default().split(' ').skip(11);
+    fields.take(2).filter_map(|f| f.parse::<f64>().ok()).sum::<f64>() / TICKS
 }
