@@ -70,15 +70,18 @@ enum Command {
     },
     /// Time each stage, and a frame with the object moved and all else reused.
     Bench {
-        /// Settings file.
+        /// Settings files.
         #[arg(default_value = "pipeline.toml")]
-        pipeline: PathBuf,
+        pipelines: Vec<PathBuf>,
         /// Frames to time for each back end.
         #[arg(long, default_value_t = 10)]
         frames: usize,
         /// Only these tables.
         #[arg(long = "table", value_enum)]
         tables: Vec<bench::Table>,
+        /// Folder for the pictures and plots of the tables that have some.
+        #[arg(long, value_name = "DIR")]
+        pictures: Option<PathBuf>,
     },
 }
 
@@ -103,7 +106,9 @@ fn start() -> ExitCode {
             }
         }
         Command::New { folder } => new::new(&folder, &printer),
-        Command::Bench { pipeline, frames, tables } => bench::bench(&pipeline, frames, &tables, &printer),
+        Command::Bench { pipelines, frames, tables, pictures } => {
+            bench::bench(&pipelines, frames, &tables, pictures.as_deref(), &printer)
+        }
     };
     cli::exit(&printer, outcome)
 }

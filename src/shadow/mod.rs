@@ -5,6 +5,7 @@
 
 mod caster;
 mod importance;
+pub mod intensity;
 mod lookup;
 mod origins;
 mod plan;
