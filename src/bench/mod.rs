@@ -1,9 +1,10 @@
 //! `insitu bench`: what each stage costs, what a frame costs when the object moves and all else is reused, what each
-//! setting of a shadow method costs against its error.
+//! setting of a shadow method costs against its error, and what 8 bits cost.
 
 mod accuracy;
 mod frames;
 mod intensity;
+mod ldr;
 mod plot;
 mod statics;
 
@@ -25,6 +26,8 @@ pub enum Table {
     Accuracy,
     /// Error of intensity transfers (gibson, Figure 3), over all captures named, with a plot.
     Intensity,
+    /// The 8-bit method against radiance, in code values.
+    Ldr,
 }
 
 /// What a plain `insitu bench` prints.
@@ -51,6 +54,7 @@ pub fn bench(
     for table in if tables.is_empty() { &USUAL } else { tables } {
         match table {
             Table::Intensity => intensity::print(&workspaces, pictures, printer)?,
+            Table::Ldr => ldr::print(&workspaces, pictures, printer)?,
             Table::Stages | Table::Frames | Table::Accuracy => {
                 for workspace in &workspaces {
                     let file = workspace.settings_file.display();

@@ -102,6 +102,7 @@ impl Stage {
             transfers: &self.transfers,
             receivers: &self.receivers,
             plate: &self.plate,
+            stored: None,
         }
     }
 }
