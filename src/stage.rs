@@ -55,7 +55,7 @@ pub const STAGES: &[Stage] = &[
     Stage {
         name: "transfer",
         version: 2,
-        reads: &["calibrate", "illuminate"],
+        reads: &["calibrate", "model", "illuminate"],
         about: "radiance transfers from sources to receivers",
     },
     Stage {
