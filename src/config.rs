@@ -287,6 +287,8 @@ pub enum ShadowMethod {
     Raytraced,
     /// One shadow map per source (gibson §7).
     RadianceTransfer,
+    /// The same, subtracted from the stored codes in 8 bits (gibson §7.1); on the CPU whatever the back end.
+    RadianceTransferLdr,
 }
 
 /// Where shadow maps are made and subtracted.
@@ -344,6 +346,8 @@ settings! {
         max_error: f64 = 0.0,
         /// Triangles to which the object is simplified in shadow maps; 0 for as it is.
         caster_triangles: usize = 500,
+        /// Share of the sources that `radiance-transfer-ldr` deals into the first of its two sets.
+        first_set_share: f64 = 0.5,
         /// Shadow rays per pixel of the method `raytraced`.
         rays: usize = 1024,
         /// Seed of all random choices.

@@ -65,7 +65,7 @@ pub const STAGES: &[Stage] = &[
     Stage {
         name: "render",
         version: 2,
-        reads: &["merge", "calibrate", "model", "illuminate", "irradiance", "transfer"],
+        reads: &["ingest", "response", "merge", "calibrate", "model", "illuminate", "irradiance", "transfer"],
         about: "shade the object, evaluate the shadow method",
     },
     Stage {

@@ -33,7 +33,14 @@ fn main() -> std::process::ExitCode {
             Photograph::Codes(codes) => {
                 let response: Response = json::read(&ctx.artefact("response", "response.json")?)?;
                 let encode = |v| response.code_of(v);
-                let after = picture(&codes, &plate, &result.radiance, &object, encode)
+                let shadowed = match ctx.has_artefact("render", "codes.png") {
+                    true => {
+                        let path = ctx.artefact("render", "codes.png")?;
+                        Some(exposure::decode(&path)?.codes(&path)?)
+                    }
+                    false => None,
+                };
+                let after = picture(&codes, shadowed.as_ref(), &plate, &result.radiance, &object, encode)
                     .doing("mapping the picture back through the response")?;
                 (codes, after)
             }

@@ -2,11 +2,16 @@
 
 use insitu::artefact::{exr, json};
 use insitu::calibrate::Cameras;
+use insitu::composite::write_png;
+use insitu::config::ShadowMethod;
 use insitu::error::{Context as _, Result};
+use insitu::exposure::{self, Capture, Photograph};
 use insitu::illuminate;
+use insitu::image::CodeImage;
 use insitu::irradiance::{Beams, Volume};
 use insitu::model::{Scene, face};
 use insitu::render::{self, Environment, Lighting, Object, Reflector, Shadowed};
+use insitu::response::Response;
 use insitu::shadow::{self, Caster, Occluder, Receivers, Session};
 use insitu::stage::{Context, Input, digest_file};
 use insitu::transfer::Transfers;
@@ -34,8 +39,14 @@ fn main() -> std::process::ExitCode {
         let started = Instant::now();
         let receivers = Receivers::cast(camera, &light.mesh);
         let occluder = Occluder { vertices: object.vertices.clone(), triangles: object.triangles.clone() };
-        let shadows =
-            shadow::Scene { light: &light, transfers: &transfers, receivers: &receivers, plate: &plate };
+        let stored = stored(ctx)?;
+        let shadows = shadow::Scene {
+            light: &light,
+            transfers: &transfers,
+            receivers: &receivers,
+            plate: &plate,
+            stored: stored.as_ref().map(|(codes, response)| shadow::Stored { codes, response }),
+        };
         let mut session = Session::prepare(&shadows, settings).doing("preparing the shadow method")?;
         ctx.figure("shadow_preparation_s", started.elapsed().as_secs_f64());
         let caster = Caster::of(&occluder, settings);
@@ -90,6 +101,9 @@ fn main() -> std::process::ExitCode {
         exr::write(&ctx.output("receivers.exr"), &mask, exr::Kind::Picture)?;
         exr::write_radiance(&ctx.output("removed.exr"), &removed.epsilon)?;
         exr::write_radiance(&ctx.output("reflected.exr"), &reflected)?;
+        if let Some(codes) = &removed.codes {
+            write_png(&ctx.output("codes.png"), codes)?;
+        }
         exr::write(
             &ctx.output("environment.exr"),
             &exr::Planes::from_radiance(&environment.map),
@@ -103,6 +117,20 @@ fn main() -> std::process::ExitCode {
 fn folder(ctx: &Context, stage: &str, files: &[&str]) -> Result<PathBuf> {
     let paths = files.iter().map(|f| ctx.artefact(stage, f)).collect::<Result<Vec<_>>>()?;
     Ok(paths.first().and_then(|p| p.parent()).unwrap_or(Path::new("")).to_path_buf())
+}
+
+/// The plate's codes and the response, where the method works in codes and the plate has some.
+fn stored(ctx: &Context) -> Result<Option<(CodeImage, Response)>> {
+    if ctx.pipeline.render.method != ShadowMethod::RadianceTransferLdr {
+        return Ok(None);
+    }
+    let capture: Capture = json::read(&ctx.artefact("ingest", "capture.json")?)?;
+    match exposure::load(ctx, &capture, capture.plate()?)? {
+        Photograph::Codes(codes) => {
+            Ok(Some((codes, json::read(&ctx.artefact("response", "response.json")?)?)))
+        }
+        Photograph::Linear(_) => Ok(None),
+    }
 }
 
 fn load(ctx: &Context) -> Result<Object> {

@@ -1,10 +1,13 @@
 //! `insitu bench`: what each stage costs, what a frame costs when the object moves and all else is reused, what each
-//! setting of a shadow method costs against its error, and where the error against a capture's truth comes from.
+//! setting of a shadow method costs against its error, what 8 bits cost, and where the error against a capture's truth
+//! comes from.
 
 mod breakdown;
 mod cost;
 mod frames;
 mod growth;
+mod intensity;
+mod ldr;
 mod passes;
 mod plot;
 mod statics;
@@ -14,7 +17,7 @@ mod truth;
 
 use crate::driver::run::{self, Range};
 use crate::driver::validate;
-use crate::error::{Error, Result};
+use crate::error::{Error, FileContext, Result};
 use crate::printer::Printer;
 use crate::stage::{STAGES, Workspace};
 use statics::Static;
@@ -33,6 +36,10 @@ pub enum Table {
     Cost,
     /// How pre-processing grows with the number of patches.
     Growth,
+    /// Error of intensity transfers (gibson, Figure 3), over all captures named, with a plot.
+    Intensity,
+    /// The 8-bit method against radiance, in code values.
+    Ldr,
     /// What each stage adds to the error against a capture's truth.
     Breakdown,
     /// The methods against a capture's truth, with the true scene model.
@@ -64,12 +71,12 @@ pub fn bench(
             Table::Passes => passes::print(&settings, frames, pictures, printer)?,
             Table::Cost => cost::print(frames, printer)?,
             Table::Growth => growth::print(pictures, printer)?,
+            Table::Intensity => intensity::print(&ready(&settings, printer)?, pictures, printer)?,
+            Table::Ldr => ldr::print(&ready(&settings, printer)?, pictures, printer)?,
             Table::Breakdown => breakdown::print(&settings, printer)?,
             Table::Truth => truth::print(&settings, pictures, printer)?,
             Table::Stages | Table::Frames => {
-                for file in &settings {
-                    let workspace = Workspace::open(file)?;
-                    run::stages(&workspace, &Range::default(), printer)?;
+                for (file, workspace) in settings.iter().zip(ready(&settings, printer)?) {
                     printer.data(&format!("{}: {threads} threads; times in ms", validate::name(file)));
                     match table {
                         Table::Stages => print_stages(&workspace, printer)?,
@@ -82,6 +89,13 @@ pub fn bench(
     Ok(())
 }
 
+/// Runs what is stale of each settings file.
+fn ready(settings: &[PathBuf], printer: &Printer) -> Result<Vec<Workspace>> {
+    let workspaces = settings.iter().map(|s| Workspace::open(s)).collect::<Result<Vec<_>>>()?;
+    workspaces.iter().try_for_each(|w| run::stages(w, &Range::default(), printer))?;
+    Ok(workspaces)
+}
+
 fn print_stages(workspace: &Workspace, printer: &Printer) -> Result<()> {
     printer.data(&format!("\n{:<12}{:>10}{:>12}", "stage", "time", "memory MiB"));
     for stage in STAGES {
@@ -90,6 +104,12 @@ fn print_stages(workspace: &Workspace, printer: &Printer) -> Result<()> {
         printer.data(&format!("{:<12}{time:>10.0}{memory:>12.0}", stage.name));
     }
     Ok(())
+}
+
+/// A capture is called by its folder.
+fn capture_name(workspace: &Workspace) -> Result<String> {
+    let folder = workspace.base.canonicalize().at("finding the name of the capture", &workspace.base)?;
+    Ok(folder.file_name().unwrap_or_default().to_string_lossy().into_owned())
 }
 
 /// Median, least and largest of some times, ms.

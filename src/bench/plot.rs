@@ -210,3 +210,49 @@ fn short(v: f64) -> String {
     let text = format!("{v:.4}");
     text.trim_end_matches('0').trim_end_matches('.').to_string()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_figure_names_what_it_shows() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.svg");
+        let line =
+            Line { label: "office".into(), colour: DISTINCT[0], points: vec![(10.0, 0.3), (200.0, 0.01)] };
+        let panel = |x: Axis, y: Axis| Panel { title: "Error".into(), x, y, lines: vec![line.clone()] };
+        let panels = [
+            panel(Axis::log("passes"), Axis::log("error")),
+            panel(Axis::linear("passes"), Axis::linear("error")),
+        ];
+        write_svg(&path, &panels, 2).unwrap();
+        let text = std::fs::read_to_string(&path).unwrap();
+        for word in ["<svg", "Error", "office", "passes", "error"] {
+            assert!(text.contains(word), "no {word}");
+        }
+        assert!(text.matches("<polyline").count() >= 2, "a line in each");
+    }
+
+    #[test]
+    fn a_legend_stands_where_no_line_is() {
+        let rising = Line {
+            label: String::new(),
+            colour: DISTINCT[0],
+            points: (0..50).map(|i| (f64::from(i), f64::from(i))).collect(),
+        };
+        let panel =
+            Panel { title: String::new(), x: Axis::linear(""), y: Axis::linear(""), lines: vec![rising] };
+        let corner = panel.emptiest_corner(&(0.0..50.0), &(0.0..50.0));
+        assert!(matches!(corner, SeriesLabelPosition::UpperLeft), "{corner:?}");
+    }
+
+    #[test]
+    fn empty_lines_make_an_empty_plot() {
+        let dir = tempfile::tempdir().unwrap();
+        let line = Line { label: "none".into(), colour: DISTINCT[0], points: Vec::new() };
+        let panel =
+            Panel { title: "Nothing".into(), x: Axis::log("x"), y: Axis::linear("y"), lines: vec![line] };
+        write_svg(&dir.path().join("a.svg"), &[panel], 1).unwrap();
+    }
+}

@@ -53,6 +53,7 @@ impl Static {
             transfers: &self.transfers,
             receivers: &self.receivers,
             plate: &self.plate,
+            stored: None,
         }
     }
 

@@ -32,7 +32,7 @@ impl LobbyTransfers {
 
     pub fn scene(&self) -> Scene<'_> {
         let Lobby { light, receivers, plate, .. } = &self.lobby;
-        Scene { light, transfers: &self.transfers, receivers, plate }
+        Scene { light, transfers: &self.transfers, receivers, plate, stored: None }
     }
 }
 

@@ -124,18 +124,26 @@ fn removed_beside(plate: &RadianceImage, removed: &RadianceImage, object: &Layer
 /// Stored codes of the augmented picture. `codes` is the plate as the camera stored it; `encode` maps radiance in plate
 /// units to codes. A pixel that did not change keeps its code; elsewhere the code of C carries on what the photograph
 /// has beyond its mean, its code less the code of B: grain, quantisation, the camera's own processing. Photon noise is about
-/// even in codes of a photographic response, so grain in shadow has the strength that a camera would give it.
+/// even in codes of a photographic response, so grain in shadow has the strength that a camera would give it. Where
+/// the shadow was subtracted from the codes themselves, `shadowed` is what that left: it stands where no object is.
 pub fn picture(
     codes: &CodeImage,
+    shadowed: Option<&CodeImage>,
     plate: &RadianceImage,
     composite: &RadianceImage,
     object: &Layer,
     encode: impl Fn([f32; 3]) -> [f32; 3],
 ) -> Result<CodeImage, Problem> {
     check_size(plate.size(), "the photograph", codes.size())?;
+    if let Some(shadowed) = shadowed {
+        check_size(plate.size(), "the shadowed photograph", shadowed.size())?;
+    }
     let pixels = (0..plate.pixels().len()).map(|i| {
         let (stored, b, c) = (codes.pixels()[i].0, plate.pixels()[i].0, composite.pixels()[i].0);
         let a = object.coverage.pixels()[i];
+        if let Some(shadowed) = shadowed.filter(|_| a == 0.0) {
+            return shadowed.pixels()[i];
+        }
         if a == 0.0 && b == c {
             return Code(stored);
         }
@@ -214,9 +222,21 @@ mod tests {
         let codes = plate.map(|p| Code(gamma(p.0))).map(|c| Code(c.0.map(|v| v + 0.01)));
         let object = layer(&[[0.0; 3]; 2], &[0.0; 2]);
         let c = composite(&plate, &image(&[[0.25; 3], [0.0; 3]]), &object).unwrap();
-        let out = picture(&codes, &plate, &c.radiance, &object, gamma).unwrap();
+        let out = picture(&codes, None, &plate, &c.radiance, &object, gamma).unwrap();
         assert!((out.pixels()[0].0[0] - gamma([0.25; 3])[0] - 0.01).abs() < 1e-6);
         assert_eq!(out.pixels()[1], codes.pixels()[1]);
+    }
+
+    #[test]
+    fn codes_that_were_subtracted_from_stand_beside_the_object() {
+        let plate = image(&[[0.5; 3]; 2]);
+        let codes = plate.map(|p| Code(gamma(p.0)));
+        let shadowed = codes.map(|c| Code(c.0.map(|v| v - 0.1)));
+        let object = layer(&[[0.0; 3], [0.25; 3]], &[0.0, 1.0]);
+        let c = composite(&plate, &image(&[[0.2; 3]; 2]), &object).unwrap();
+        let out = picture(&codes, Some(&shadowed), &plate, &c.radiance, &object, gamma).unwrap();
+        assert_eq!(out.pixels()[0], shadowed.pixels()[0]);
+        assert!((out.pixels()[1].0[0] - gamma([0.25; 3])[0]).abs() < 1e-6);
     }
 
     proptest! {
@@ -227,7 +247,7 @@ mod tests {
             let c = composite(&plate, &image(&[[0.0; 3]]), &object).unwrap();
             prop_assert_eq!(&c.radiance, &plate);
             let codes = Image::from_pixels(1, 1, vec![Code(stored.map(|v| f32::from(v) / 255.0))]);
-            let out = picture(&codes, &plate, &c.radiance, &object, gamma).unwrap();
+            let out = picture(&codes, None, &plate, &c.radiance, &object, gamma).unwrap();
             prop_assert_eq!(out.pixels()[0].0.map(|v| (v * 255.0).round() as u8), stored);
         }
 

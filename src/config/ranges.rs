@@ -87,6 +87,7 @@ const RANGES: &[(&str, &str, Range)] = &[
     ("render", "frame_ms", From(0.0, 1e6)),
     ("render", "max_error", From(0.0, 1.0)),
     ("render", "caster_triangles", From(0.0, 1e9)),
+    ("render", "first_set_share", From(0.0, 1.0)),
     ("render", "rays", From(2.0, 1e6)),
     ("composite", "exposure_ev", From(-30.0, 30.0)),
 ];

@@ -5,6 +5,8 @@
 
 mod caster;
 mod importance;
+pub mod intensity;
+mod ldr;
 mod lookup;
 mod origins;
 mod plan;
@@ -19,7 +21,8 @@ mod tiles;
 
 use crate::config::Render;
 use crate::illuminate::patch::LightModel;
-use crate::image::RadianceImage;
+use crate::image::{CodeImage, RadianceImage};
+use crate::response::Response;
 use crate::transfer::{SourceKind, Transfers};
 use crate::{error, gpu};
 use glam::Vec3;
@@ -57,6 +60,17 @@ pub struct Scene<'a> {
     pub receivers: &'a Receivers,
     /// The plate.
     pub plate: &'a RadianceImage,
+    /// The plate as stored, for the method that subtracts from it.
+    pub stored: Option<Stored<'a>>,
+}
+
+/// A photograph as the camera stored it.
+#[derive(Clone, Copy)]
+pub struct Stored<'a> {
+    /// Its codes, of 8 bits; deeper ones are rounded.
+    pub codes: &'a CodeImage,
+    /// The response, which maps radiance in plate units to them.
+    pub response: &'a Response,
 }
 
 /// What leaves the plate.
@@ -64,6 +78,8 @@ pub struct Scene<'a> {
 pub struct Removed {
     /// ε, plate units; 0 where there is no receiver.
     pub epsilon: RadianceImage,
+    /// The stored plate after all subtractions, where the method works in codes.
+    pub codes: Option<CodeImage>,
     /// Noise of a sampled ε: rms of its standard error over rms of ε, where ε is above 2 % of the plate.
     pub noise: Option<f64>,
     /// Number of sources whose shadow was sought.
@@ -112,6 +128,9 @@ pub enum Problem {
         /// What it may be.
         range: &'static str,
     },
+    /// Codes are to be subtracted, and there are none.
+    #[error("the plate is linear: it has no stored codes")]
+    NoCodes,
     /// The graphics processor.
     #[error(transparent)]
     Gpu(#[from] gpu::Problem),
@@ -126,6 +145,9 @@ impl error::Problem for Problem {
             Self::BrokenTriangle { .. } => "repair the object's mesh, e.g. export it again".into(),
             Self::Mismatch { .. } => "run `insitu run --force --from illuminate`".into(),
             Self::Setting { name, range, .. } => format!("set render.{name} to {range}"),
+            Self::NoCodes => {
+                "set render.method to \"radiance-transfer\", or give the plate as a photograph".into()
+            }
             Self::Gpu(problem) => problem.hint(),
         }
     }

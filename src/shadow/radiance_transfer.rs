@@ -1,5 +1,6 @@
 //! Shadow maps from representative sources, subtracted in f32 (Gibson et al. 2003, §7–8), in plain Rust.
 
+use super::ldr::Ldr;
 use super::lookup::{Cover, OnPlane, Pyramid};
 use super::plan::{Outlook, Plan};
 use super::projection::{MapPlan, OFFSETS, ShadowOrigin};
@@ -7,6 +8,7 @@ use super::raster::{ShadowMap, rasterise};
 use super::tiles::{Pixel, Prepared, Tile, Vector};
 use super::{Bounds, Occluder, Problem, Removed, Scene};
 use crate::config::Render;
+use crate::image::RadianceImage;
 use crate::visibility::Bvh;
 use glam::Vec3;
 use ndarray::Array3;
@@ -23,6 +25,8 @@ const BATCH_CLUSTERS: usize = 256;
 pub struct RadianceTransfer<'a> {
     scene: Scene<'a>,
     prepared: Prepared,
+    /// Where codes are subtracted instead of radiance.
+    ldr: Option<Ldr<'a>>,
     passes: usize,
     origins: usize,
     map_px: usize,
@@ -40,7 +44,7 @@ struct Batch<'a> {
     /// Number of the first map.
     first: u32,
     masks: Vec<Mask>,
-    columns: Columns,
+    columns: &'a Columns,
     /// The occluder, for the origins that are too near for a map.
     rays: &'a Rays,
 }
@@ -63,8 +67,10 @@ struct Rays {
 impl<'a> RadianceTransfer<'a> {
     /// Everything that does not depend on the object.
     pub fn prepare(scene: &Scene<'a>, settings: &Render) -> Result<Self, Problem> {
+        let prepared = Prepared::new(scene, settings)?;
         Ok(Self {
-            prepared: Prepared::new(scene, settings)?,
+            ldr: Ldr::prepare(scene, &prepared, settings)?,
+            prepared,
             scene: *scene,
             passes: settings.passes,
             origins: settings.origins.max(1),
@@ -106,16 +112,31 @@ impl<'a> RadianceTransfer<'a> {
         let plan = self.plan(outlook, passes);
         let mut blocked = vec![[0.0f32; 3]; self.prepared.pixels.len()];
         self.add(occluder, outlook, &plan, &mut blocked);
-        self.removed(&plan, &blocked)
+        let Some(ldr) = &self.ldr else { return self.removed(&plan, &blocked) };
+        let (codes, epsilon) = ldr.subtract(&self.prepared.pixels, &blocked);
+        Removed { codes: Some(codes), ..self.account(&plan, epsilon) }
     }
 
-    /// Adds the irradiance that is blocked.
+    /// Adds the irradiance that is blocked; code values where those are subtracted.
     pub(crate) fn add(&self, occluder: &Occluder, outlook: &Outlook, plan: &Plan, blocked: &mut [[f32; 3]]) {
         let lists = self.maps_of_tiles(&plan.maps, outlook.patches());
         let vertices = self.vertices_of(&lists);
         let rays = Rays::new(occluder);
+        // What a cluster takes from a code depends on those before it: all of them at once.
+        let intensities = self.ldr.as_ref().filter(|_| !plan.maps.is_empty()).map(|ldr| {
+            let mut columns = self.columns(plan, &vertices, 0..plan.maps.len());
+            ldr.intensities(&self.scene, plan, &vertices, &mut columns);
+            columns
+        });
         for maps in batches(&plan.maps) {
-            let columns = self.columns(plan, &vertices, maps.clone());
+            let own;
+            let columns = match &intensities {
+                Some(all) => all,
+                None => {
+                    own = self.columns(plan, &vertices, maps.clone());
+                    &own
+                }
+            };
             let batch = Batch::draw(&plan.maps[maps.clone()], maps.start as u32, columns, occluder, &rays);
             self.subtract(&batch, &lists, blocked);
         }
@@ -155,9 +176,15 @@ impl<'a> RadianceTransfer<'a> {
         Ok(self.removed(&plan, &blocked))
     }
 
+    /// ε from the irradiance that is blocked.
     pub(crate) fn removed(&self, plan: &Plan, blocked: &[[f32; 3]]) -> Removed {
+        self.account(plan, self.prepared.epsilon(self.scene.plate, blocked))
+    }
+
+    fn account(&self, plan: &Plan, epsilon: RadianceImage) -> Removed {
         Removed {
-            epsilon: self.prepared.epsilon(self.scene.plate, blocked),
+            epsilon,
+            codes: None,
             noise: None,
             sources_used: plan.sources,
             passes: plan.clusters.len(),
@@ -245,11 +272,16 @@ impl<'a> RadianceTransfer<'a> {
             let vectors = &self.prepared.vectors[tile.vectors.clone()];
             let mut sums = vec![[f32x8::ZERO; 3]; vectors.len()];
             self.masks(batch, tile, maps, |corners, masks| {
-                for ((vector, mask), sum) in vectors.iter().zip(masks).zip(&mut sums) {
+                let numbered = tile.vectors.clone().zip(vectors).zip(masks).zip(&mut sums);
+                for (((number, vector), mask), sum) in numbered {
                     let corners = vector.corners.map(|v| corners[v as usize]);
                     for (c, sum) in sum.iter_mut().enumerate() {
                         let [a, b, d] = [0, 1, 2].map(|k| vector.weights[k] * f32x8::splat(corners[k][c]));
-                        *sum += *mask * (a + b + d);
+                        let gone = *mask * (a + b + d);
+                        *sum += match &self.ldr {
+                            None => gone,
+                            Some(ldr) => ldr.pass(number, c, gone),
+                        };
                     }
                 }
             });
@@ -335,7 +367,13 @@ pub(crate) fn batches(maps: &[MapPlan]) -> Vec<Range<usize>> {
 }
 
 impl<'a> Batch<'a> {
-    fn draw(maps: &'a [MapPlan], first: u32, columns: Columns, occluder: &Occluder, rays: &'a Rays) -> Self {
+    fn draw(
+        maps: &'a [MapPlan],
+        first: u32,
+        columns: &'a Columns,
+        occluder: &Occluder,
+        rays: &'a Rays,
+    ) -> Self {
         let mask = |plan: &MapPlan| match &plan.projection {
             Some(projection) => Mask::Map(Pyramid::new(rasterise(projection, occluder, plan.size))),
             None => Mask::Rays(plan.origin),

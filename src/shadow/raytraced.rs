@@ -95,6 +95,7 @@ pub fn raytraced(scene: &Scene, occluder: &Occluder, settings: &Render) -> Resul
     }
     Ok(Removed {
         epsilon: RadianceImage::from_pixels(width, height, epsilon),
+        codes: None,
         noise: Some(if signal > 0.0 { (error / signal).sqrt() } else { 0.0 }),
         sources_used: scene.transfers.sources.len(),
         passes: 0,

@@ -35,7 +35,8 @@ impl<'a> Session<'a> {
     pub fn prepare(scene: &Scene<'a>, settings: &Render) -> Result<Self, Problem> {
         let method = match (settings.method, settings.backend) {
             (ShadowMethod::Raytraced, _) => Method::Raytraced,
-            (ShadowMethod::RadianceTransfer, Backend::Cpu) => {
+            // Codes are subtracted on the CPU alone.
+            (ShadowMethod::RadianceTransfer, Backend::Cpu) | (ShadowMethod::RadianceTransferLdr, _) => {
                 Method::Cpu(Box::new(RadianceTransfer::prepare(scene, settings)?))
             }
             (ShadowMethod::RadianceTransfer, Backend::Gpu) => {

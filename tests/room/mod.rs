@@ -53,6 +53,7 @@ impl Stage {
             transfers: &self.transfers,
             receivers: &self.receivers,
             plate: &self.plate,
+            stored: None,
         }
     }
 }
