@@ -16,6 +16,9 @@ pub struct StageArguments {
     /// Settings file; everything else is named in it.
     #[arg(default_value = "pipeline.toml")]
     pub pipeline: PathBuf,
+    /// Work folder in the place of the one that the settings name.
+    #[arg(long, value_name = "DIR")]
+    pub work: Option<PathBuf>,
     /// Say nothing but errors.
     #[arg(long, short)]
     pub quiet: bool,
@@ -43,7 +46,8 @@ pub fn stage_main(name: &'static str, body: impl FnOnce(&Context) -> Result<()>)
         Err(e) => e.exit(),
     };
     let printer = printer(arguments.quiet, arguments.verbose);
-    let outcome = Workspace::open(&arguments.pipeline).and_then(|workspace| {
+    let opened = Workspace::open_in(&arguments.pipeline, arguments.work.as_deref());
+    let outcome = opened.and_then(|workspace| {
         // Guarded inside `run`, so that what the stage left is cleared and the earlier result stays.
         stage::run(&workspace, name, &printer, |ctx| guard(|| body(ctx)))?;
         printer.detail(&format!("wrote {}", workspace.folder(name).display()));

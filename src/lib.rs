@@ -63,6 +63,7 @@ pub mod response;
 pub mod sh;
 pub mod shadow;
 pub mod stage;
+pub mod synthetic;
 pub mod transfer;
 pub mod visibility;
 pub mod vision;

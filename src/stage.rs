@@ -155,6 +155,8 @@ pub struct Workspace {
     pub base: PathBuf,
     /// Work folder.
     pub work: PathBuf,
+    /// Whether that is another one than the settings name.
+    pub elsewhere: bool,
     /// The settings.
     pub pipeline: Pipeline,
 }
@@ -168,7 +170,18 @@ impl Workspace {
             _ => PathBuf::from("."),
         };
         let work = base.join(&pipeline.work);
-        Ok(Self { settings_file: settings_file.to_path_buf(), base, work, pipeline })
+        Ok(Self { settings_file: settings_file.to_path_buf(), base, work, elsewhere: false, pipeline })
+    }
+
+    /// As [`Self::open`], with another work folder if one is given.
+    pub fn open_in(settings_file: &Path, work: Option<&Path>) -> Result<Self> {
+        let mut workspace = Self::open(settings_file)?;
+        if let Some(work) = work {
+            // Manifests name inputs from the settings' folder on: only a whole path stays the same from there.
+            workspace.work = std::path::absolute(work).at("looking for the work folder", work)?;
+            workspace.elsewhere = true;
+        }
+        Ok(workspace)
     }
 
     /// Folder of a stage's result.
@@ -361,8 +374,15 @@ fn digest_folder(folder: &Path) -> Result<BTreeMap<String, String>> {
     Ok(digests)
 }
 
-fn peak_memory_mib() -> f64 {
+/// Largest resident set since the start or [`reset_peak_memory`], MiB; 0 where the system does not tell.
+pub(crate) fn peak_memory_mib() -> f64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"));
     line.and_then(|l| l.trim().trim_end_matches(" kB").parse::<f64>().ok()).map_or(0.0, |kib| kib / 1024.0)
+}
+
+/// Counts the peak from here on (Linux).
+pub(crate) fn reset_peak_memory() {
+    // Where that is not allowed the peak stays the earlier one, which is an upper bound.
+    let _ = std::fs::write("/proc/self/clear_refs", "5");
 }

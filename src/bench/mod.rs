@@ -1,16 +1,24 @@
-//! `insitu bench`: what each stage costs, what a frame costs when the object moves and all else is reused, and what
-//! each setting of a shadow method costs against its error.
+//! `insitu bench`: what each stage costs, what a frame costs when the object moves and all else is reused, what each
+//! setting of a shadow method costs against its error, and where the error against a capture's truth comes from.
 
-mod accuracy;
+mod breakdown;
+mod cost;
 mod frames;
+mod growth;
+mod passes;
+mod plot;
 mod statics;
+mod subject;
+mod triptych;
+mod truth;
 
 use crate::driver::run::{self, Range};
+use crate::driver::validate;
 use crate::error::{Error, Result};
 use crate::printer::Printer;
 use crate::stage::{STAGES, Workspace};
 use statics::Static;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// A table of the benchmark.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
@@ -19,32 +27,57 @@ pub enum Table {
     Stages,
     /// Time of a frame, for both back ends.
     Frames,
-    /// Speed against error of the shadow methods.
-    Accuracy,
+    /// Error against passes, on captures and on a synthetic lobby.
+    Passes,
+    /// What moving the object costs, on a synthetic lobby.
+    Cost,
+    /// How pre-processing grows with the number of patches.
+    Growth,
+    /// What each stage adds to the error against a capture's truth.
+    Breakdown,
+    /// The methods against a capture's truth, with the true scene model.
+    Truth,
 }
 
-/// Runs what is stale, then prints the tables asked for; all of them where none is named.
-pub fn bench(settings: &Path, frames: usize, tables: &[Table], printer: &Printer) -> Result<()> {
+/// What a plain `insitu bench` prints.
+const USUAL: [Table; 3] = [Table::Stages, Table::Frames, Table::Passes];
+
+/// Runs what is stale, then prints the tables asked for, the usual ones where none is named.
+/// `pictures` is a folder for what tables draw.
+pub fn bench(
+    paths: &[PathBuf],
+    frames: usize,
+    tables: &[Table],
+    pictures: Option<&Path>,
+    printer: &Printer,
+) -> Result<()> {
     if frames == 0 {
         return Err(Error::Usage {
             problem: "no frames to time".into(),
             hint: "ask for --frames 1 or more".into(),
         });
     }
-    let workspace = Workspace::open(settings)?;
-    run::stages(&workspace, &Range::default(), printer)?;
-    let wanted = |table| tables.is_empty() || tables.contains(&table);
     let threads = std::thread::available_parallelism().map_or(1, |n| n.get());
-    printer.data(&format!("{threads} threads; times in ms"));
-    if wanted(Table::Stages) {
-        print_stages(&workspace, printer)?;
-    }
-    let statics = Static::read(&workspace)?;
-    if wanted(Table::Frames) {
-        frames::print(&statics, &workspace, frames, printer)?;
-    }
-    if wanted(Table::Accuracy) {
-        accuracy::print(&statics, &workspace, frames, printer)?;
+    let settings = validate::settings_under(paths)?;
+    for table in if tables.is_empty() { &USUAL } else { tables } {
+        match table {
+            Table::Passes => passes::print(&settings, frames, pictures, printer)?,
+            Table::Cost => cost::print(frames, printer)?,
+            Table::Growth => growth::print(pictures, printer)?,
+            Table::Breakdown => breakdown::print(&settings, printer)?,
+            Table::Truth => truth::print(&settings, pictures, printer)?,
+            Table::Stages | Table::Frames => {
+                for file in &settings {
+                    let workspace = Workspace::open(file)?;
+                    run::stages(&workspace, &Range::default(), printer)?;
+                    printer.data(&format!("{}: {threads} threads; times in ms", validate::name(file)));
+                    match table {
+                        Table::Stages => print_stages(&workspace, printer)?,
+                        _ => frames::print(&Static::read(&workspace)?, &workspace, frames, printer)?,
+                    }
+                }
+            }
+        }
     }
     Ok(())
 }

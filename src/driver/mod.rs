@@ -4,7 +4,8 @@ mod guess;
 mod new;
 pub(crate) mod run;
 mod status;
-mod validate;
+pub(crate) mod truth;
+pub(crate) mod validate;
 
 use crate::bench;
 use crate::cli;
@@ -45,6 +46,22 @@ enum Command {
         /// Run even what is fresh.
         #[arg(long)]
         force: bool,
+        /// Work folder in the place of the one that the settings name.
+        #[arg(long, value_name = "DIR")]
+        work: Option<PathBuf>,
+    },
+    /// Put the truth of a rendered capture (`evaluate.truth`) in the place of stages' results: `insitu run --work DIR` goes
+    /// on from there.
+    Truth {
+        /// Settings file.
+        #[arg(default_value = "pipeline.toml")]
+        pipeline: PathBuf,
+        /// Which stages; the others up to the last of them run as ever.
+        #[arg(long, value_enum, value_delimiter = ',', default_values_t = truth::TrueStage::ALL)]
+        stages: Vec<truth::TrueStage>,
+        /// Work folder for the results.
+        #[arg(long, value_name = "DIR")]
+        work: PathBuf,
     },
     /// Say what is fresh, stale or missing, and why.
     Status {
@@ -69,17 +86,20 @@ enum Command {
         /// Folder of the photographs; the settings are written into it.
         folder: PathBuf,
     },
-    /// Time each stage and a frame with the object moved, and set speed against error.
+    /// Measure speed and error: of each stage, of a frame, of the shadow methods, against the truth.
     Bench {
-        /// Settings file.
+        /// Settings files, and folders to search for them.
         #[arg(default_value = "pipeline.toml")]
-        pipeline: PathBuf,
+        pipelines: Vec<PathBuf>,
         /// Frames to time for each back end.
         #[arg(long, default_value_t = 10)]
         frames: usize,
         /// Only these tables.
         #[arg(long = "table", value_enum)]
         tables: Vec<bench::Table>,
+        /// Folder for the pictures and plots of the tables that have some.
+        #[arg(long, value_name = "DIR")]
+        pictures: Option<PathBuf>,
     },
 }
 
@@ -92,9 +112,10 @@ fn start() -> ExitCode {
     let arguments = Arguments::parse();
     let printer = cli::printer(arguments.quiet, arguments.verbose);
     let outcome: Result<()> = match arguments.command {
-        Command::Run { pipeline, from, to, force } => {
-            run::run(&pipeline, &run::Range { from, to, force }, &printer)
+        Command::Run { pipeline, from, to, force, work } => {
+            run::run(&pipeline, work.as_deref(), &run::Range { from, to, force }, &printer)
         }
+        Command::Truth { pipeline, stages, work } => truth::truth(&pipeline, &work, &stages, &printer),
         Command::Status { pipeline } => status::status(&pipeline, &printer),
         Command::Validate { folders, jobs, force } => {
             match validate::validate(&folders, jobs, force, &printer) {
@@ -104,7 +125,9 @@ fn start() -> ExitCode {
             }
         }
         Command::New { folder } => new::new(&folder, &printer),
-        Command::Bench { pipeline, frames, tables } => bench::bench(&pipeline, frames, &tables, &printer),
+        Command::Bench { pipelines, frames, tables, pictures } => {
+            bench::bench(&pipelines, frames, &tables, pictures.as_deref(), &printer)
+        }
     };
     cli::exit(&printer, outcome)
 }

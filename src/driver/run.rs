@@ -45,8 +45,8 @@ fn unknown_stage(name: &str) -> Error {
 }
 
 /// Runs what is not fresh; prints the products of the last stage.
-pub fn run(settings: &Path, range: &Range, printer: &Printer) -> Result<()> {
-    let workspace = Workspace::open(settings)?;
+pub fn run(settings: &Path, work: Option<&Path>, range: &Range, printer: &Printer) -> Result<()> {
+    let workspace = Workspace::open_in(settings, work)?;
     stages(&workspace, range, printer)?;
     for product in ["composite/augmented.png", "composite/augmented.exr", "evaluate/report.html"] {
         let path = workspace.work.join(product);
@@ -62,7 +62,7 @@ pub fn stages(workspace: &Workspace, range: &Range, printer: &Printer) -> Result
     range.stages()?.iter().try_for_each(|stage| run_stage(workspace, stage, range.force, printer))
 }
 
-fn run_stage(workspace: &Workspace, stage: &Stage, force: bool, printer: &Printer) -> Result<()> {
+pub(super) fn run_stage(workspace: &Workspace, stage: &Stage, force: bool, printer: &Printer) -> Result<()> {
     let why = match stage::state(workspace, stage) {
         State::Fresh if !force => {
             printer.say(&format!("{:<11} fresh", stage.name));
@@ -75,6 +75,9 @@ fn run_stage(workspace: &Workspace, stage: &Stage, force: bool, printer: &Printe
     let program = program(stage.name)?;
     let mut command = Command::new(&program);
     command.arg(&workspace.settings_file);
+    if workspace.elsewhere {
+        command.arg("--work").arg(&workspace.work);
+    }
     match printer.verbosity() {
         Verbosity::Quiet => command.arg("--quiet"),
         Verbosity::Verbose => command.arg("--verbose"),

@@ -63,12 +63,27 @@ pub fn validate(folders: &[PathBuf], jobs: usize, force: bool, printer: &Printer
     Ok(print(&outcomes, printer))
 }
 
+/// The settings files that some paths mean: files themselves, and all under folders.
+pub(crate) fn settings_under(paths: &[PathBuf]) -> Result<Vec<PathBuf>> {
+    let mut all = Vec::new();
+    for path in paths {
+        if path.is_dir() {
+            let mut captures = Vec::new();
+            find(path, &mut captures)?;
+            all.extend(captures.into_iter().flat_map(|c| c.settings));
+        } else {
+            all.push(path.clone());
+        }
+    }
+    Ok(all)
+}
+
 fn list(folders: &[PathBuf]) -> String {
     folders.iter().map(|f| f.display().to_string()).collect::<Vec<_>>().join(", ")
 }
 
 /// `folder/pipeline.toml` is named by its folder, others by folder and file.
-fn name(settings: &Path) -> String {
+pub(crate) fn name(settings: &Path) -> String {
     let folder = settings.parent().and_then(Path::file_name).unwrap_or_default().to_string_lossy();
     match settings.file_stem().unwrap_or_default().to_string_lossy() {
         stem if stem == "pipeline" => folder.into_owned(),

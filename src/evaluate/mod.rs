@@ -9,6 +9,7 @@ mod html;
 mod pictures;
 pub mod references;
 pub mod region;
+pub mod true_scene;
 pub mod truth;
 
 pub use compare::{Comparison, Ours, Reference, compare};

@@ -26,10 +26,10 @@ impl crate::error::Problem for Problem {
 /// The parts of `truth.json` that stages are judged by.
 #[derive(Debug, Clone)]
 pub struct Truth {
-    value: Value,
+    pub(super) value: Value,
 }
 
-fn numbers(value: &Value) -> Option<Vec<f64>> {
+pub(super) fn numbers(value: &Value) -> Option<Vec<f64>> {
     match value {
         Value::Array(list) => list.iter().map(numbers).collect::<Option<Vec<_>>>().map(|l| l.concat()),
         Value::Number(n) => n.as_f64().map(|v| vec![v]),
@@ -43,12 +43,12 @@ impl Truth {
         Self { value }
     }
 
-    fn numbers<const N: usize>(value: &Value, name: &str) -> Result<[f64; N], Problem> {
+    pub(super) fn numbers<const N: usize>(value: &Value, name: &str) -> Result<[f64; N], Problem> {
         numbers(value).and_then(|v| v.try_into().ok()).ok_or_else(|| Problem::Shape(name.into()))
     }
 
     /// The image of that file name, otherwise the first of role `plate`.
-    fn image(&self, file: &str) -> Result<&Value, Problem> {
+    pub(super) fn image(&self, file: &str) -> Result<&Value, Problem> {
         let images = self.value["images"].as_array().map(Vec::as_slice).unwrap_or_default();
         images
             .iter()

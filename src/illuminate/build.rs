@@ -4,7 +4,7 @@ use super::distant::{self, Distant, Layer};
 use super::gather::Gather;
 use super::mesh::{FaceMesh, assemble, graded};
 use super::patch::{Evidence, LightModel, PatchMesh};
-use super::project::{self, PlateSamples, Projected};
+use super::project::{self, PlateSamples, Projected, Samples};
 use super::{Problem, power};
 use crate::camera::Camera;
 use crate::config;
@@ -13,6 +13,7 @@ use crate::model::face::Face;
 use crate::probe::Environment;
 use crate::visibility::Bvh;
 use glam::Vec3;
+use std::collections::BTreeMap;
 
 /// The unclipped, empty picture of the scene.
 pub struct Plate<'a> {
@@ -22,6 +23,15 @@ pub struct Plate<'a> {
     pub radiance: &'a RadianceImage,
     /// Where no exposure holds it.
     pub clipped: &'a Image<bool>,
+}
+
+/// What is known of the light beforehand, as in a capture with truth.
+#[derive(Default)]
+pub struct Known {
+    /// Radiance of emitting faces, plate units, by index of the face; the rest is found.
+    pub faces: BTreeMap<u32, [f32; 3]>,
+    /// The whole distant light.
+    pub sky: Option<Environment>,
 }
 
 /// Largest reflectance: one returns no more light than it gets.
@@ -78,6 +88,7 @@ pub fn build(
     faces: &[Face],
     env: &Environment,
     plate: Option<&Plate>,
+    known: &Known,
     settings: &config::Illuminate,
     probe_blur: impl Fn(Vec3) -> f64,
 ) -> Result<Built, Problem> {
@@ -100,7 +111,7 @@ pub fn build(
     for m in meshes.iter_mut().flatten() {
         m.refine(|p| graded(settings.max_edge_m, p));
     }
-    let mut stage = Stage::new(&meshes, env, plate);
+    let mut stage = Stage::new(&meshes, env, plate, known);
     for _ in 0..REFINEMENTS {
         let sizes = stage.sizes(settings);
         if sizes.iter().all(Option::is_none) {
@@ -122,9 +133,9 @@ pub fn build(
                 });
             }
         }
-        stage = Stage::new(&meshes, env, plate);
+        stage = Stage::new(&meshes, env, plate, known);
     }
-    Ok(stage.finish(env, settings, probe_blur))
+    Ok(stage.finish(env, known, settings, probe_blur))
 }
 
 /// A mesh with its radiance from probe and plate.
@@ -138,13 +149,18 @@ struct Stage {
 }
 
 impl Stage {
-    fn new(meshes: &[Option<FaceMesh>], env: &Environment, plate: Option<&Plate>) -> Self {
+    fn new(meshes: &[Option<FaceMesh>], env: &Environment, plate: Option<&Plate>, known: &Known) -> Self {
         let mut mesh = assemble(meshes);
         let bvh = Bvh::new(&mesh.vertices, &mesh.triangles());
-        let projected = project::from_probe(env, &mesh, &bvh);
+        let mut projected = project::from_probe(env, &mesh, &bvh);
         let plate = plate.map(|p| project::from_plate(p.camera, p.radiance, p.clipped, &mesh, &bvh));
         let mut ratios = Vec::new();
         for i in 0..mesh.patches.len() {
+            if let Some(radiance) = known.faces.get(&mesh.patches[i].face) {
+                projected.samples[i] = Samples::default();
+                (mesh.patches[i].radiance, mesh.patches[i].evidence) = (*radiance, Evidence::Probe);
+                continue;
+            }
             let probe = projected.samples[i].mean();
             let from_plate = plate.as_ref().and_then(|p| p.radiance(&mesh, i));
             if let (Some(a), Some(b)) = (probe, from_plate)
@@ -188,10 +204,14 @@ impl Stage {
     fn finish(
         mut self,
         env: &Environment,
+        known: &Known,
         settings: &config::Illuminate,
         probe_blur: impl Fn(Vec3) -> f64,
     ) -> Built {
-        let (distant, picture, open) = self.distant(env, settings, probe_blur);
+        let (distant, picture, open) = match &known.sky {
+            Some(sky) => whole_sky(sky, settings),
+            None => self.distant(env, settings, probe_blur),
+        };
         let seen: Vec<bool> = self.mesh.patches.iter().map(|p| p.evidence != Evidence::Gathered).collect();
         let gather = Gather::new(&self.mesh, &distant.sources, &self.bvh, |i| seen[i]);
         let rho = settings.unseen_reflectance.clamp(0.0, MAX_REFLECTANCE);
@@ -273,6 +293,14 @@ impl Stage {
         }
         figures
     }
+}
+
+/// All of a known sky, whatever hides from the probe: rays find what the model hides from each receiver.
+fn whole_sky(sky: &Environment, settings: &config::Illuminate) -> (Distant, RadianceImage, f64) {
+    let layer = Layer { radiance: &sky.radiance, share: &sky.weight };
+    let open = (0..sky.weight.len()).map(|i| sky.solid_angle(i) * f64::from(sky.weight[i])).sum::<f64>()
+        / (4.0 * std::f64::consts::PI);
+    (distant::cut(&layer, settings.distant_sources, |_| 0.0), layer.picture(), open)
 }
 
 /// The radiance with texels that the ball does not show taken from their open neighbours, ring by ring.

@@ -15,7 +15,7 @@ fn environment(at: Vec3) -> Environment {
 
 fn built(settings: &config::Illuminate) -> Built {
     let env = environment(Vec3::new(0.3, 0.6, -0.4));
-    build(&room::faces(4.0, 2.5, 4.0), &env, None, settings, |_| 0.0).unwrap()
+    build(&room::faces(4.0, 2.5, 4.0), &env, None, &Known::default(), settings, |_| 0.0).unwrap()
 }
 
 #[test]
@@ -41,7 +41,8 @@ fn a_rooms_radiance_is_recovered_and_its_lamp_resolved() {
 fn an_open_sky_becomes_distant_light_of_the_same_power() {
     let ground = vec![room::faces(10.0, 1.0, 10.0)[0].clone()];
     let env = Environment::from_fn(128, Vec3::new(0.0, 0.1, 0.0), |d| [if d.y > 0.0 { 2.0 } else { 0.3 }; 3]);
-    let built = build(&ground, &env, None, &config::Illuminate::default(), |_| 0.0).unwrap();
+    let built =
+        build(&ground, &env, None, &Known::default(), &config::Illuminate::default(), |_| 0.0).unwrap();
     let up: f64 = built
         .light
         .distant
@@ -63,7 +64,8 @@ fn what_the_probe_does_not_see_gathers_light() {
     let corners = shelf.map(|[x, z]| nalgebra::Point3::new(x, 1.2, z)).to_vec();
     faces.push(Face { name: "shelf.top".into(), vertices: corners });
     let env = environment(Vec3::new(0.3, 0.6, -0.4));
-    let light = build(&faces, &env, None, &config::Illuminate::default(), |_| 0.0).unwrap().light;
+    let light =
+        build(&faces, &env, None, &Known::default(), &config::Illuminate::default(), |_| 0.0).unwrap().light;
     let top: Vec<_> = light.mesh.patches.iter().filter(|p| p.face == 6).collect();
     assert!(!top.is_empty() && top.iter().all(|p| p.evidence == Evidence::Gathered));
     assert!(top.iter().all(|p| p.radiance[0] > 0.2 && p.radiance[0] < 2.0 && p.reflectance == [0.5; 3]));
@@ -74,7 +76,7 @@ fn refusals_say_why() {
     let env = environment(Vec3::new(0.0, 1.0, 0.0));
     let settings = config::Illuminate::default();
     let problem = |faces: &[Face], env: &Environment, s: &config::Illuminate| {
-        build(faces, env, None, s, |_| 0.0).map(|_| ()).unwrap_err()
+        build(faces, env, None, &Known::default(), s, |_| 0.0).map(|_| ()).unwrap_err()
     };
     assert_eq!(problem(&[], &env, &settings), Problem::NoFaces(0));
     let dark = Environment::from_fn(32, Vec3::Y, |_| [0.0; 3]);

@@ -10,8 +10,10 @@ pub mod patch;
 pub mod project;
 #[cfg(test)]
 pub mod room;
+mod stage;
 mod store;
 
+pub use stage::put_light;
 pub use store::{read_light, write_light};
 
 /// Why no light can be put on a model.

@@ -1,0 +1,169 @@
+//! The methods against the truth of rendered captures, with the true scene model: what the shadow algorithm, the patches
+//! and the light's sampling cost, beside what two renderers reach on the same task.
+
+use super::breakdown::true_workspace;
+use super::{Static, triptych};
+use crate::artefact::{exr, json};
+use crate::composite::composite;
+use crate::config::Render;
+use crate::driver::validate;
+use crate::error::{Context as _, Error, Result};
+use crate::evaluate::references::{reference_in, truth_at};
+use crate::evaluate::{Comparison, Measured, Ours, Reference, compare};
+use crate::image::{Image, RadianceImage};
+use crate::printer::Printer;
+use crate::render::Layer;
+use crate::response::Response;
+use crate::shadow;
+use crate::stage::Workspace;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Relative shadow errors of Cycles' shadow catcher lit by the true environment map (70–85 s on two cores) and of Mitsuba
+/// at 64 samples (7–12 s) with the true camera, geometry and light, object on the floor (DESIGN.md §8).
+const RENDERERS: [(&str, f64, f64); 3] =
+    [("office", 0.12, 0.16), ("tablelamp", 0.41, 0.09), ("sunlit", 0.025, 0.04)];
+
+/// Rays per pixel of the ray-traced column: their noise is far below the errors shown.
+const RAYS: usize = 64;
+
+/// A settings file with true stages, run, and what it is to be compared with.
+pub(super) struct Judged {
+    pub workspace: Workspace,
+    pub statics: Static,
+    pub reference: Reference,
+    object: Layer,
+    clipped: Image<bool>,
+}
+
+/// Figures of one ε against the truth.
+pub(super) struct Verdict {
+    pub comparison: Comparison,
+    pub composite: RadianceImage,
+    pub plate: RadianceImage,
+    error: f64,
+    bias: f64,
+    /// Share of the light that is gone at the darkest twentieth of the shadow: ours, and in truth.
+    depth: [f64; 2],
+}
+
+impl Judged {
+    pub fn read(file: &Path) -> Result<Self> {
+        let workspace = true_workspace(file, "none", &[])?;
+        let settings = &workspace.pipeline.evaluate;
+        let reference = reference_in(&workspace.base, settings)?.ok_or_else(|| Error::Usage {
+            problem: format!("{} names no true picture with the object", file.display()),
+            hint: "give `evaluate.reference`".into(),
+        })?;
+        let path = workspace.folder("render").join("object.exr");
+        let object = Layer::from_planes(&exr::read(&path)?)
+            .ok_or_else(|| Error::Bug(format!("{} lacks planes", path.display())))?;
+        let statics = Static::read(&workspace)?;
+        let (width, height) = statics.plate.size();
+        let clipped = Image::from_fn(width, height, |_, _| false);
+        Ok(Self { workspace, statics, reference, object, clipped })
+    }
+
+    /// Compares the plate less ε, with the object in it, with the truth.
+    pub fn verdict(&self, epsilon: &RadianceImage) -> Result<Verdict> {
+        let plate = &self.statics.plate;
+        let composite = composite(plate, epsilon, &self.object).doing("compositing")?.radiance;
+        let (coverage, clipped) = (&self.object.coverage, &self.clipped);
+        let ours = Ours { plate, composite: &composite, coverage, clipped };
+        let mut measured = Measured::default();
+        let comparison =
+            compare(&ours, &self.reference, |v| v, &mut measured).doing("comparing with the truth")?;
+        let figures = measured.figures(&Default::default());
+        let value =
+            |name: &str| figures.iter().find(|f| f.name == name).and_then(|f| f.value).unwrap_or(f64::NAN);
+        let depth = [epsilon, &removed_in_truth(plate, epsilon, &comparison.removal_error)]
+            .map(|removed| depth(plate, removed, &comparison.shadow_region));
+        Ok(Verdict {
+            error: value("relative_shadow_error"),
+            bias: value("shadow_energy_bias"),
+            depth,
+            comparison,
+            composite,
+            plate: plate.clone(),
+        })
+    }
+}
+
+/// ε* = ε − (ε − ε*).
+fn removed_in_truth(plate: &RadianceImage, epsilon: &RadianceImage, error: &RadianceImage) -> RadianceImage {
+    let (width, height) = plate.size();
+    Image::from_fn(width, height, |x, y| {
+        let (e, d) = (epsilon.at(x, y).0, error.at(x, y).0);
+        crate::image::Radiance(std::array::from_fn(|k| e[k] - d[k]))
+    })
+}
+
+/// 95th percentile of ε over the plate's radiance, by luminance; the median of each pixel's neighbours takes out noise.
+fn depth(plate: &RadianceImage, removed: &RadianceImage, region: &Image<bool>) -> f64 {
+    let mut shares: Vec<f64> = (0..plate.pixels().len())
+        .filter(|&i| region.pixels()[i] && plate.pixels()[i].luminance() > 0.0)
+        .map(|i| f64::from(removed.pixels()[i].luminance() / plate.pixels()[i].luminance()))
+        .collect();
+    shares.sort_by(f64::total_cmp);
+    shares.get(shares.len() * 95 / 100).copied().unwrap_or(f64::NAN)
+}
+
+/// Prints a line for each settings file; writes truth, ours and difference into a folder, if one is given.
+pub(super) fn print(settings: &[PathBuf], pictures: Option<&Path>, printer: &Printer) -> Result<()> {
+    printer.data("\nwith the true camera, plate, scene and light: relative shadow error, energy bias (%), time of the shadow (s);");
+    printer.data("noise: of the truth; depth: share of light gone in the darkest twentieth of the shadow, ours and truth;");
+    printer
+        .data("Cycles, Mitsuba: their errors with the same truth given, object on the floor (DESIGN.md §8)");
+    let width = settings.iter().map(|s| validate::name(s).len()).max().unwrap_or(0).max(7);
+    printer.data(&format!(
+        "{:<width$}{:>22}{:>24}{:>8}{:>14}{:>8}{:>9}",
+        "capture",
+        "radiance-transfer",
+        format!("raytraced, {RAYS}"),
+        "noise",
+        "depth",
+        "Cycles",
+        "Mitsuba"
+    ));
+    for file in settings {
+        let judged = Judged::read(file)?;
+        let workspace = &judged.workspace;
+        let ours = exr::read_radiance(&workspace.folder("render").join("removed.exr"))?;
+        let took = workspace.manifest("render")?.figures.get("shadow_s").and_then(|v| v.as_f64());
+        let ours = judged.verdict(&ours)?;
+        let started = Instant::now();
+        let settings = Render { rays: RAYS, ..workspace.pipeline.render.clone() };
+        let traced = shadow::raytraced(&judged.statics.scene(), &judged.statics.occluder(), &settings)
+            .doing("tracing the shadow")?;
+        let traced_s = started.elapsed().as_secs_f64();
+        let traced = judged.verdict(&traced.epsilon)?;
+        let truth_file = workspace.pipeline.evaluate.truth.as_ref().map(|p| workspace.base.join(p));
+        let truth = truth_file.as_deref().map(truth_at).transpose()?;
+        let stem = workspace.pipeline.evaluate.reference.as_ref().and_then(|p| p.file_stem());
+        let noise = truth.as_ref().zip(stem).zip(ours.comparison.rms_and_mean).and_then(
+            |((t, stem), (rms, mean))| Some(t.difference_noise(&stem.to_string_lossy())? * mean / rms),
+        );
+        let name = validate::name(file);
+        let beside = RENDERERS.iter().find(|(scene, ..)| {
+            !name.contains('/') && truth.as_ref().is_some_and(|t| t.scene_name() == *scene)
+        });
+        let number = |v: Option<f64>| v.map_or("-".into(), |v| format!("{v:.3}"));
+        let method = |v: &Verdict, s: f64| format!("{:.3} {:>+6.1} {s:>6.2}", v.error, 100.0 * v.bias);
+        printer.data(&format!(
+            "{name:<width$}{:>22}{:>24}{:>8}{:>14}{:>8}{:>9}",
+            method(&ours, took.unwrap_or(f64::NAN)),
+            method(&traced, traced_s),
+            number(noise),
+            format!("{:.2} / {:.2}", ours.depth[0], ours.depth[1]),
+            number(beside.map(|b| b.1)),
+            number(beside.map(|b| b.2)),
+        ));
+        if let Some(folder) = pictures {
+            let response: Response = json::read(&workspace.folder("response").join("response.json"))?;
+            let path = folder.join(format!("{}.jpg", name.replace('/', "_")));
+            triptych::write(&path, &name, &ours, |v| response.code_of(v))?;
+            printer.data(&path.display().to_string());
+        }
+    }
+    Ok(())
+}
