@@ -4,6 +4,7 @@
 mod breakdown;
 mod cost;
 mod frames;
+mod gpu;
 mod growth;
 mod passes;
 mod plot;
@@ -31,6 +32,8 @@ pub enum Table {
     Passes,
     /// What moving the object costs, on a synthetic lobby.
     Cost,
+    /// What a frame costs on the graphics processor, by its own clock, and how far it lies from the CPU's.
+    Gpu,
     /// How pre-processing grows with the number of patches.
     Growth,
     /// What each stage adds to the error against a capture's truth.
@@ -63,6 +66,7 @@ pub fn bench(
         match table {
             Table::Passes => passes::print(&settings, frames, pictures, printer)?,
             Table::Cost => cost::print(frames, printer)?,
+            Table::Gpu => gpu::print(&settings, frames, printer)?,
             Table::Growth => growth::print(pictures, printer)?,
             Table::Breakdown => breakdown::print(&settings, printer)?,
             Table::Truth => truth::print(&settings, pictures, printer)?,
