@@ -2,6 +2,7 @@
 //! top-left pixel.
 
 use crate::error::{FileContext, Result};
+use crate::model::face::Gloss;
 use crate::stage::{Context, Input};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -171,6 +172,9 @@ pub struct Primitive {
     /// Width, height, depth of a box or room; width, height of a quad; m. What is above 0 is known, 0 is fitted.
     #[serde(default)]
     pub size_m: Vec<f64>,
+    /// What its faces mirror besides their diffuse reflectance.
+    #[serde(default)]
+    pub gloss: Option<Gloss>,
     /// Half the side of a ground, m.
     #[serde(default = "twenty")]
     pub extent_m: f64,

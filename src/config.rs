@@ -246,6 +246,16 @@ settings! {
     }
 }
 
+/// What makes a source strong.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SourceOrder {
+    /// What it sends to the receivers, by which faint light near by counts and light that no receiver sees does not.
+    Received,
+    /// What it sends anywhere: radiance × area (gibson §4), distant light with the area of the receivers.
+    Power,
+}
+
 settings! {
     /// Radiance transfers (gibson §5).
     Transfer {
@@ -255,6 +265,17 @@ settings! {
         rays: usize = 8,
         /// Sources are stored as one where their average shares misattribute at most this share of a vertex's irradiance.
         link_tolerance: f64 = 0.001,
+        /// By what the strongest sources are found.
+        order: SourceOrder = SourceOrder::Received,
+        /// Receiver patches in a leaf of their octree.
+        leaf_patches: usize = 8,
+        /// Shafts end where less than this share of the irradiance of every receiver vertex passes.
+        shaft_share: f64 = 0.02,
+        /// Receivers are split where transfers differ from what their vertices say by more than this share of the
+        /// irradiance; 0 leaves them as they are.
+        receiver_tolerance: f64 = 0.05,
+        /// Receivers are not split beyond so many vertices.
+        receiver_vertices: usize = 20_000,
     }
 }
 

@@ -59,7 +59,7 @@ pub const STAGES: &[Stage] = &[
     Stage {
         name: "transfer",
         version: 2,
-        reads: &["calibrate", "illuminate"],
+        reads: &["calibrate", "model", "illuminate"],
         about: "radiance transfers from sources to receivers",
     },
     Stage {
@@ -385,4 +385,14 @@ pub(crate) fn peak_memory_mib() -> f64 {
 pub(crate) fn reset_peak_memory() {
     // Where that is not allowed the peak stays the earlier one, which is an upper bound.
     let _ = std::fs::write("/proc/self/clear_refs", "5");
+}
+
+/// Time that all threads have computed since the start, s; 0 where the system does not tell.
+pub(crate) fn cpu_time_s() -> f64 {
+    /// Linux counts in hundredths of a second.
+    const TICKS: f64 = 100.0;
+    let text = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
+    // The second field is the program's name in parentheses; utime and stime are fields 14 and 15.
+    let fields = text.rsplit(") ").next().unwrap_or_default().split(' ').skip(11);
+    fields.take(2).filter_map(|f| f.parse::<f64>().ok()).sum::<f64>() / TICKS
 }

@@ -1,10 +1,13 @@
 //! Stage `transfer`: what each source sends to each receiver vertex.
 
+use glam::Vec3;
 use insitu::artefact::json;
 use insitu::calibrate::Cameras;
 use insitu::error::Context;
+use insitu::illuminate;
+use insitu::model::Scene;
 use insitu::shadow::Receivers;
-use insitu::{illuminate, transfer};
+use insitu::transfer::{self, Finish};
 
 fn main() -> std::process::ExitCode {
     insitu::cli::stage_main("transfer", |ctx| {
@@ -12,6 +15,11 @@ fn main() -> std::process::ExitCode {
         let folder = ctx.artefact("illuminate", "patches.ply")?.with_file_name("");
         ctx.artefact("illuminate", "distant.json")?;
         let light = illuminate::read_light(&folder)?;
+        let scene: Scene = json::read(&ctx.artefact("model", "scene.json")?)?;
+        let gloss: Vec<_> = scene.faces.iter().map(|f| f.gloss).collect();
+        let eye = cameras.plate_camera().world_from_camera.translation.vector;
+        let eye = Vec3::new(eye.x as f32, eye.y as f32, eye.z as f32);
+        let finish = gloss.iter().any(Option::is_some).then_some(Finish { eye, gloss: &gloss });
 
         let receivers = Receivers::cast(cameras.plate_camera(), &light.mesh);
         let seen = receivers.pixels.pixels().iter().flatten().count();
@@ -23,10 +31,10 @@ fn main() -> std::process::ExitCode {
             ));
         }
 
-        let lights = light.mesh.patches.len() + light.distant.len();
-        let bar = ctx.printer.progress("radiance transfers", lights as u64);
-        let transfers = transfer::solve(&light, &receivers, &ctx.pipeline.transfer, || bar.inc(1))
-            .doing("finding what light reaches the plate's surfaces")?;
+        let bar = ctx.printer.progress("radiance transfers", receivers.seen.len() as u64);
+        let transfers =
+            transfer::solve_glossy(&light, &receivers, finish, &ctx.pipeline.transfer, || bar.inc(1))
+                .doing("finding what light reaches the plate's surfaces")?;
         bar.finish_and_clear();
 
         ctx.figure("sources", transfers.sources.len());
@@ -38,7 +46,11 @@ fn main() -> std::process::ExitCode {
         );
         ctx.figure("receiver_patches", transfers.receivers.patches.len());
         ctx.figure("receiver_vertices", transfers.receivers.positions.len());
+        ctx.figure("largest_left_out_share", transfers.largest_left_out_share);
         ctx.figure("links", transfers.links.node.len());
+        let counts = transfers.shaft_counts();
+        ctx.figure("shafts", counts.shafts);
+        ctx.figure("leaf_shafts", counts.leaves);
         transfers.write(&ctx.output(""))
     })
 }

@@ -7,7 +7,7 @@ use crate::error::{Context as _, Result};
 use crate::printer::Printer;
 use crate::shadow::{Bounds, Caster, RadianceTransfer};
 use crate::synthetic::Lobby;
-use crate::transfer::SourceKind;
+use crate::transfer::{SourceKind, Traversal};
 use glam::Vec3;
 use std::time::Instant;
 
@@ -24,6 +24,8 @@ const SERIES: [usize; 5] = [10, 20, 50, 100, 200];
 const SIZES: [usize; 3] = [500, 2000, 8000];
 /// Places of the object at which the traversal is timed.
 const PLACES: usize = 20;
+/// … and at which all pairs are tested.
+const PLACES_OF_PAIRS: usize = 3;
 
 /// Prints all of it.
 pub(super) fn print(frames: usize, printer: &Printer) -> Result<()> {
@@ -43,8 +45,15 @@ pub(super) fn print(frames: usize, printer: &Printer) -> Result<()> {
     passes(&subject, frames, printer)?;
     sizes(frames, printer)?;
     traversal(&subject, printer);
-    printer.data("\nGibson et al. 2003, GPU and CPU of that year: 14-35 frames/s, 10-40 ms of traversal, 15-30 s of pre-processing,");
-    printer.data(&format!("47,000-102,000 leaf shafts, 9 MB; here: {:.1} frames/s", 1e3 / frame,));
+    let counts = made.transfers.shaft_counts();
+    printer.data("\nGibson et al. 2003, on what there was then: 14-35 frames/s, 10-40 ms of traversal, 15-30 s of pre-processing,");
+    printer.data(&format!(
+        "47,000-102,000 leaf shafts, 9 MB; here: {:.1} frames/s, {} leaf shafts of {} shafts, {:.1} MB",
+        1e3 / frame,
+        counts.leaves,
+        counts.shafts,
+        (counts.shafts * counts.bytes_per_shaft) as f64 / 1e6
+    ));
     Ok(())
 }
 
@@ -52,9 +61,7 @@ pub(super) fn print(frames: usize, printer: &Printer) -> Result<()> {
 fn methods(subject: &Subject, caster: &Caster, frames: usize, printer: &Printer) -> Result<f64> {
     let mut shot = subject.passes(PASSES, frames)?;
     let [ours, low, high] = spread(&mut shot.ms);
-    let rough = subject.reference(f64::INFINITY, None)?;
-    let (error, _) = subject.errors(&shot.removed.epsilon, &rough.epsilon);
-    let reference = subject.reference(error / 3.0, Some(rough))?;
+    let reference = subject.reference(1.0 / 3.0, &[&shot.removed.epsilon])?;
     let (error, bias) = subject.errors(&shot.removed.epsilon, &reference.epsilon);
     printer.data(&format!(
         "{:<28}{:>10}{:>10}{:>10}{:>9}{:>9}{:>8}",
@@ -129,16 +136,27 @@ fn sizes(frames: usize, printer: &Printer) -> Result<()> {
         let mut subject = Subject::lobby(&made);
         subject.settings = Render { caster_triangles: TRIANGLES, ..subject.settings };
         let mut shot = subject.passes(PASSES, frames)?;
-        let (ms, traversed) = (spread(&mut shot.ms)[0], traverse(&subject)[0]);
+        let (ms, traversed) = (spread(&mut shot.ms)[0], traverse(&subject, false).shafts);
         cells += &format!("  {}: {ms:.1} ({traversed:.2})", made.lobby.light.mesh.patches.len());
     }
     printer.data(&format!("ms by patches (of which traversal){cells}"));
     Ok(())
 }
 
-/// Median time of the traversal over some places of the object, ms, and of testing all pairs of a source and a receiver
-/// patch: the segment between their middles against the object's box, the least that such a test can be. Both on one thread.
-fn traverse(subject: &Subject) -> [f64; 4] {
+/// Medians over some places of the object, ms, all on one thread.
+struct Traversed {
+    /// Down the shaft hierarchy.
+    shafts: f64,
+    /// A shaft for each pair of a source and a receiver patch.
+    pairs: f64,
+    /// For each pair the segment between the middles against the object's box: the least that a test can be, and too little,
+    /// for it misses what passes beside the middles.
+    segments: f64,
+    /// Sources found, on average, by shafts, and by segments.
+    found: [f64; 2],
+}
+
+fn traverse(subject: &Subject, with_pairs: bool) -> Traversed {
     let (transfers, mesh) = (subject.scene.transfers, &subject.scene.light.mesh);
     let receivers: Vec<Vec3> =
         transfers.receivers.patches.iter().map(|&p| mesh.centroid(p as usize)).collect();
@@ -150,22 +168,31 @@ fn traverse(subject: &Subject) -> [f64; 4] {
             SourceKind::Distant(i) => 1e4 * subject.scene.light.distant[i as usize].direction,
         })
         .collect();
-    let (mut shafts, mut pairs, mut found) = (Vec::new(), Vec::new(), [0.0; 2]);
+    let (mut shafts, mut pairs, mut segments, mut found) = (Vec::new(), Vec::new(), Vec::new(), [0.0; 2]);
+    let mut traversal = Traversal::default();
+    let timed = |ms: &mut Vec<f64>, work: &mut dyn FnMut() -> usize| {
+        let started = Instant::now();
+        let found = std::hint::black_box(work());
+        ms.push(1e3 * started.elapsed().as_secs_f64());
+        found as f64 / PLACES as f64
+    };
     for place in 0..PLACES {
         let angle = place as f32 * 2.4;
         let at = [0.3 + 1.2 * angle.cos(), 0.2 + 0.8 * angle.sin()];
         let Bounds { min, max, .. } = Bounds::of(&Lobby::object(at, 0.0));
-        let started = Instant::now();
-        let affected = std::hint::black_box(transfers.affected(min, max));
-        shafts.push(1e3 * started.elapsed().as_secs_f64());
-        found[0] += affected.sources.len() as f64 / PLACES as f64;
-        let started = Instant::now();
-        let tested =
-            sources.iter().filter(|s| receivers.iter().filter(|r| crosses(**s, **r, min, max)).count() > 0);
-        found[1] += std::hint::black_box(tested.count()) as f64 / PLACES as f64;
-        pairs.push(1e3 * started.elapsed().as_secs_f64());
+        found[0] += timed(&mut shafts, &mut || traversal.affected(transfers, min, max).sources.len());
+        if with_pairs && place < PLACES_OF_PAIRS {
+            timed(&mut pairs, &mut || transfers.affected_by_pairs(min, max).sources.len());
+        }
+        if with_pairs {
+            found[1] += timed(&mut segments, &mut || {
+                let met = |s: &Vec3| receivers.iter().filter(|r| crosses(*s, **r, min, max)).count() > 0;
+                sources.iter().filter(|s| met(s)).count()
+            });
+        }
     }
-    [spread(&mut shafts)[0], spread(&mut pairs)[0], found[0], found[1]]
+    let median = |mut ms: Vec<f64>| if ms.is_empty() { f64::NAN } else { spread(&mut ms)[0] };
+    Traversed { shafts: median(shafts), pairs: median(pairs), segments: median(segments), found }
 }
 
 /// Whether a segment meets a box: slabs.
@@ -176,11 +203,16 @@ fn crosses(a: Vec3, b: Vec3, min: Vec3, max: Vec3) -> bool {
 }
 
 fn traversal(subject: &Subject, printer: &Printer) {
-    let [shafts, pairs, found, tested] = traverse(subject);
+    let t = traverse(subject, true);
+    let (sources, receivers) =
+        (subject.scene.transfers.sources.len(), subject.scene.transfers.receivers.patches.len());
+    printer.data(&format!("\ntraversal {:.3} ms, {:.0} of {sources} sources found", t.shafts, t.found[0]));
     printer.data(&format!(
-        "\ntraversal {shafts:.3} ms for {found:.0} sources; all {}×{} pairs of source and receiver {pairs:.1} ms for {tested:.0} sources: {:.0} times (goal 50)",
-        subject.scene.transfers.sources.len(),
-        subject.scene.transfers.receivers.patches.len(),
-        pairs / shafts
+        "all pairs of {sources} sources and {receivers} receivers: {:.1} ms by shafts, {:.0} times as long (goal 50); {:.1} ms by segments between middles, {:.0} times ({:.0} sources)",
+        t.pairs,
+        t.pairs / t.shafts,
+        t.segments,
+        t.segments / t.shafts,
+        t.found[1]
     ));
 }

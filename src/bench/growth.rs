@@ -4,7 +4,7 @@ use super::plot::{self, Axis, DISTINCT, Line, Panel};
 use super::subject::{exponent, transfer_settings};
 use crate::error::{Context as _, FileContext, Result};
 use crate::printer::Printer;
-use crate::stage::{peak_memory_mib, reset_peak_memory};
+use crate::stage::{cpu_time_s, peak_memory_mib, reset_peak_memory};
 use crate::synthetic::{Lobby, lobby_of};
 use crate::transfer::solve;
 use std::path::Path;
@@ -25,33 +25,37 @@ pub(super) fn print(pictures: Option<&Path>, printer: &Printer) -> Result<()> {
         "\npre-processing of the lobby: sets, transfers, hierarchies, shafts; memory above that before",
     );
     printer.data(&format!(
-        "{:>8}{:>10}{:>10}{:>10}{:>11}{:>11}{:>10}",
-        "patches", "receivers", "vertices", "sources", "links", "time, s", "MiB"
+        "{:>8}{:>10}{:>10}{:>10}{:>11}{:>9}{:>11}{:>10}{:>10}",
+        "patches", "receivers", "vertices", "sources", "links", "shafts", "time, s", "CPU, s", "MiB"
     ));
-    let (mut times, mut memories) = (Vec::new(), Vec::new());
+    let (mut times, mut cpu_times, mut memories) = (Vec::new(), Vec::new(), Vec::new());
+    reset_peak_memory();
+    let before = peak_memory_mib();
     for wanted in PATCHES {
         let Lobby { light, receivers, .. } = Lobby::new(lobby_of(wanted), WIDTH);
         let patches = light.mesh.patches.len() as f64;
         reset_peak_memory();
-        let before = peak_memory_mib();
-        let started = Instant::now();
+        let (started, cpu) = (Instant::now(), cpu_time_s());
         let transfers = solve(&light, &receivers, &transfer_settings(), || {})
             .doing(format!("finding the transfers of {patches} patches"))?;
         let time = started.elapsed().as_secs_f64();
-        let memory = peak_memory_mib() - before;
+        let (memory, cpu) = (peak_memory_mib() - before, cpu_time_s() - cpu);
         printer.data(&format!(
-            "{patches:>8}{:>10}{:>10}{:>10}{:>11}{time:>11.2}{memory:>10.0}",
+            "{patches:>8}{:>10}{:>10}{:>10}{:>11}{:>9}{time:>11.2}{cpu:>10.2}{memory:>10.0}",
             transfers.receivers.patches.len(),
             transfers.receivers.positions.len(),
             transfers.sources.len(),
             transfers.links.node.len(),
+            transfers.shaft_counts().shafts,
         ));
         times.push((patches, time));
+        cpu_times.push((patches, cpu));
         memories.push((patches, memory));
     }
     printer.data(&format!(
-        "time grows by patches^{:.2}, memory by patches^{:.2}",
+        "time grows by patches^{:.2}, CPU time by patches^{:.2}, memory by patches^{:.2}",
         exponent(&times),
+        exponent(&cpu_times),
         exponent(&memories)
     ));
     let at = |points: &[(f64, f64)], n: usize| {

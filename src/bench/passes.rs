@@ -55,10 +55,8 @@ pub(super) fn print(
 
 fn table(subject: &Subject, frames: usize, printer: &Printer) -> Result<Curve> {
     let shots = PASSES.iter().map(|&n| subject.passes(n, frames)).collect::<Result<Vec<_>>>()?;
-    let rough = subject.reference(f64::INFINITY, None)?;
-    let least =
-        shots.iter().map(|s| subject.errors(&s.removed.epsilon, &rough.epsilon).0).fold(f64::MAX, f64::min);
-    let reference = subject.reference(NOISE_SHARE * least, Some(rough))?;
+    let judged: Vec<_> = shots.iter().map(|s| &s.removed.epsilon).collect();
+    let reference = subject.reference(NOISE_SHARE, &judged)?;
     let (width, height) = subject.scene.plate.size();
     printer.data(&format!(
         "\n{}: {width}×{height} px, {} sources, {} patches; noise of the reference {:.4}",

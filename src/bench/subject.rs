@@ -11,8 +11,9 @@ use glam::Vec3;
 
 /// Share of the lobby's light that its source set holds; what the fixtures' settings say.
 const SHARE: f64 = 0.98;
-/// Reference rays per pixel, at most.
-const MOST_RAYS: usize = 1 << 14;
+/// Reference rays per pixel, at first and at most.
+const FIRST_RAYS: usize = 64;
+const MOST_RAYS: usize = 1 << 13;
 
 /// The lobby with its transfers.
 pub(super) struct LobbyTransfers {
@@ -101,19 +102,24 @@ impl<'a> Subject<'a> {
         shadow::raytraced(&self.scene, &self.occluder, &settings).doing("tracing the reference")
     }
 
-    /// ε by so many rays that its noise is below `noise`, if that can be; at first as many as the settings say.
-    pub fn reference(&self, noise: f64, known: Option<Removed>) -> Result<Removed> {
+    /// ε by so many rays that its noise is below `share` of the least error of some ε, if that can be.
+    pub fn reference(&self, share: f64, judged: &[&RadianceImage]) -> Result<Removed> {
         let seed = self.settings.seed ^ 0x5eed;
-        let first = match known {
-            Some(known) => known,
-            None => self.traced(self.settings.rays, seed)?,
-        };
-        let found = first.noise.unwrap_or(0.0);
-        if found <= noise {
-            return Ok(first);
+        let (mut rays, mut found) = (FIRST_RAYS, self.traced(FIRST_RAYS, seed)?);
+        // The second guess is the better one: its errors are hardly noise.
+        for _ in 0..2 {
+            let noise = found.noise.unwrap_or(0.0);
+            let with_noise = judged.iter().map(|e| self.errors(e, &found.epsilon).0).fold(f64::MAX, f64::min);
+            let error = (with_noise * with_noise - noise * noise).max(0.0).sqrt();
+            let wanted = share * error.max(0.1 * with_noise);
+            if noise <= wanted || rays >= MOST_RAYS {
+                break;
+            }
+            let more = rays as f64 * (noise / wanted).powi(2) * 1.2;
+            rays = (more as usize).clamp(rays + 1, MOST_RAYS);
+            found = self.traced(rays, seed)?;
         }
-        let more = self.settings.rays as f64 * (found / noise).powi(2) * 1.2;
-        self.traced((more as usize).clamp(self.settings.rays, MOST_RAYS), seed)
+        Ok(found)
     }
 
     /// Relative shadow error and energy bias of ε where the reference removes more than 2 % of the plate.

@@ -40,7 +40,7 @@ pub(super) fn write(
         (format!("{name}: truth"), view(truth, 0.0, &encode)),
         ("ours".to_string(), view(&verdict.composite, 0.0, &encode)),
         (
-            format!("red: ours too dark, blue: too light (+-{most:.3} of plate)"),
+            format!("red too dark, blue too light, +-{most:.3}"),
             error_map(&difference(truth, &verdict.composite), most).image,
         ),
     ];

@@ -8,6 +8,7 @@ use crate::composite::composite;
 use crate::config::Render;
 use crate::driver::validate;
 use crate::error::{Context as _, Error, Result};
+use crate::evaluate::errors::common_error;
 use crate::evaluate::references::{reference_in, truth_at};
 use crate::evaluate::{Comparison, Measured, Ours, Reference, compare};
 use crate::image::{Image, RadianceImage};
@@ -17,15 +18,14 @@ use crate::response::Response;
 use crate::shadow;
 use crate::stage::Workspace;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
 
 /// Relative shadow errors of Cycles' shadow catcher lit by the true environment map (70–85 s on two cores) and of Mitsuba
 /// at 64 samples (7–12 s) with the true camera, geometry and light, object on the floor (DESIGN.md §8).
 const RENDERERS: [(&str, f64, f64); 3] =
     [("office", 0.12, 0.16), ("tablelamp", 0.41, 0.09), ("sunlit", 0.025, 0.04)];
 
-/// Rays per pixel of the ray-traced column: their noise is far below the errors shown.
-const RAYS: usize = 64;
+/// Rays per pixel of each of the two ray-traced pictures; what they have in common is free of their noise.
+const RAYS: usize = 32;
 
 /// A settings file with true stages, run, and what it is to be compared with.
 pub(super) struct Judged {
@@ -89,6 +89,36 @@ impl Judged {
     }
 }
 
+/// What rays reach on the true scene: the error that no sampling of the shadow can take away.
+struct Traced {
+    error: f64,
+    bias: f64,
+    /// By channel: light that the object sends back has its colour.
+    tint: [f64; 3],
+}
+
+impl Judged {
+    fn traced(&self) -> Result<Traced> {
+        let trace = |seed| {
+            let settings = Render { rays: RAYS, seed, ..self.workspace.pipeline.render.clone() };
+            shadow::raytraced(&self.statics.scene(), &self.statics.occluder(), &settings)
+                .doing("tracing the shadow")
+        };
+        let (a, b) = (trace(1)?.epsilon, trace(2)?.epsilon);
+        let (of_a, of_b) = (self.verdict(&a)?, self.verdict(&b)?);
+        let truth = removed_in_truth(&self.statics.plate, &a, &of_a.comparison.removal_error);
+        let error = common_error([&a, &b], &truth, &of_a.comparison.shadow_region).unwrap_or(f64::NAN);
+        let tint = [0, 1, 2].map(|k| {
+            let sum = |image: &RadianceImage| {
+                let inside = image.pixels().iter().zip(of_a.comparison.shadow_region.pixels());
+                inside.filter(|(_, r)| **r).map(|(p, _)| f64::from(p.0[k])).sum::<f64>()
+            };
+            (sum(&a) + sum(&b)) / 2.0 / sum(&truth) - 1.0
+        });
+        Ok(Traced { error, bias: (of_a.bias + of_b.bias) / 2.0, tint })
+    }
+}
+
 /// ε* = ε − (ε − ε*).
 fn removed_in_truth(plate: &RadianceImage, epsilon: &RadianceImage, error: &RadianceImage) -> RadianceImage {
     let (width, height) = plate.size();
@@ -110,20 +140,14 @@ fn depth(plate: &RadianceImage, removed: &RadianceImage, region: &Image<bool>) -
 
 /// Prints a line for each settings file; writes truth, ours and difference into a folder, if one is given.
 pub(super) fn print(settings: &[PathBuf], pictures: Option<&Path>, printer: &Printer) -> Result<()> {
-    printer.data("\nwith the true camera, plate, scene and light: relative shadow error, energy bias (%), time of the shadow (s);");
+    printer.data("\nwith the true camera, plate, scene and light: relative shadow error, energy bias (%), time of the shadow (s); raytraced:\nwithout its own noise, bias also by channel;");
     printer.data("noise: of the truth; depth: share of light gone in the darkest twentieth of the shadow, ours and truth;");
     printer
         .data("Cycles, Mitsuba: their errors with the same truth given, object on the floor (DESIGN.md §8)");
     let width = settings.iter().map(|s| validate::name(s).len()).max().unwrap_or(0).max(7);
     printer.data(&format!(
-        "{:<width$}{:>22}{:>24}{:>8}{:>14}{:>8}{:>9}",
-        "capture",
-        "radiance-transfer",
-        format!("raytraced, {RAYS}"),
-        "noise",
-        "depth",
-        "Cycles",
-        "Mitsuba"
+        "{:<width$}{:>22}{:>34}{:>8}{:>14}{:>8}{:>9}",
+        "capture", "radiance-transfer", "raytraced", "noise", "depth", "Cycles", "Mitsuba"
     ));
     for file in settings {
         let judged = Judged::read(file)?;
@@ -131,12 +155,8 @@ pub(super) fn print(settings: &[PathBuf], pictures: Option<&Path>, printer: &Pri
         let ours = exr::read_radiance(&workspace.folder("render").join("removed.exr"))?;
         let took = workspace.manifest("render")?.figures.get("shadow_s").and_then(|v| v.as_f64());
         let ours = judged.verdict(&ours)?;
-        let started = Instant::now();
-        let settings = Render { rays: RAYS, ..workspace.pipeline.render.clone() };
-        let traced = shadow::raytraced(&judged.statics.scene(), &judged.statics.occluder(), &settings)
-            .doing("tracing the shadow")?;
-        let traced_s = started.elapsed().as_secs_f64();
-        let traced = judged.verdict(&traced.epsilon)?;
+        let traced = judged.traced()?;
+        let tint = traced.tint.map(|b| format!("{:+.1}", 100.0 * b)).join(" ");
         let truth_file = workspace.pipeline.evaluate.truth.as_ref().map(|p| workspace.base.join(p));
         let truth = truth_file.as_deref().map(truth_at).transpose()?;
         let stem = workspace.pipeline.evaluate.reference.as_ref().and_then(|p| p.file_stem());
@@ -148,11 +168,11 @@ pub(super) fn print(settings: &[PathBuf], pictures: Option<&Path>, printer: &Pri
             !name.contains('/') && truth.as_ref().is_some_and(|t| t.scene_name() == *scene)
         });
         let number = |v: Option<f64>| v.map_or("-".into(), |v| format!("{v:.3}"));
-        let method = |v: &Verdict, s: f64| format!("{:.3} {:>+6.1} {s:>6.2}", v.error, 100.0 * v.bias);
+
         printer.data(&format!(
-            "{name:<width$}{:>22}{:>24}{:>8}{:>14}{:>8}{:>9}",
-            method(&ours, took.unwrap_or(f64::NAN)),
-            method(&traced, traced_s),
+            "{name:<width$}{:>22}{:>34}{:>8}{:>14}{:>8}{:>9}",
+            format!("{:.3} {:>+6.1} {:>6.2}", ours.error, 100.0 * ours.bias, took.unwrap_or(f64::NAN)),
+            format!("{:.3} {:>+6.1} ({})", traced.error, 100.0 * traced.bias, tint),
             number(noise),
             format!("{:.2} / {:.2}", ours.depth[0], ours.depth[1]),
             number(beside.map(|b| b.1)),

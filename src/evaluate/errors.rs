@@ -57,6 +57,18 @@ pub fn removal(ours: &RadianceImage, truth: &RadianceImage, region: &Image<bool>
     })
 }
 
+/// Relative error of what two removals with independent noise have in common: that of their noise-free mean, as
+/// √(Σ(a − t)(b − t) / Σt²); 0 where noise makes that negative. `None` where nothing was removed in truth.
+pub fn common_error(ours: [&RadianceImage; 2], truth: &RadianceImage, region: &Image<bool>) -> Option<f64> {
+    let [a, b] = ours.map(|image| samples(image, truth, region));
+    let (mut product, mut square) = (0.0, 0.0);
+    for ((a, t), (b, _)) in a.zip(b) {
+        product += (a - t) * (b - t);
+        square += t * t;
+    }
+    (square > 0.0).then(|| (product / square).max(0.0).sqrt())
+}
+
 /// `None` where the region is empty or the truth black.
 pub fn picture(ours: &RadianceImage, truth: &RadianceImage, region: &Image<bool>) -> Option<PictureError> {
     let (mut n, mut square, mut sums) = (0.0, 0.0, [0.0; 2]);
@@ -169,6 +181,21 @@ mod tests {
         let nothing = Image::from_fn(16, 12, |_, _| Radiance::default());
         let e = removal(&nothing, &truth, &everywhere()).unwrap();
         assert_eq!((e.relative, e.energy_bias), (1.0, -1.0));
+    }
+
+    #[test]
+    fn independent_noise_has_no_part_in_the_common_error() {
+        let truth = noise(1, 0.4, 0.6);
+        let wrong = |seed| {
+            let n = noise(seed, -0.2, 0.2);
+            let pixels = truth.pixels().iter().zip(n.pixels());
+            let pixels = pixels.map(|(t, n)| Radiance(std::array::from_fn(|k| 1.1 * t.0[k] + n.0[k])));
+            Image::from_pixels(16, 12, pixels.collect())
+        };
+        let (a, b) = (wrong(2), wrong(3));
+        let alone = removal(&a, &truth, &everywhere()).unwrap().relative;
+        let common = common_error([&a, &b], &truth, &everywhere()).unwrap();
+        assert!(alone > 0.2 && (common - 0.1).abs() < 0.03, "{alone}, {common}");
     }
 
     #[test]

@@ -159,6 +159,7 @@ impl Truth {
             scene.faces.extend(faces.into_iter().map(|(side, vertices)| Face {
                 name: if side.is_empty() { name.clone() } else { format!("{name}.{side}") },
                 vertices: vertices.iter().map(|v| world_from_truth * v).collect(),
+                gloss: None,
             }));
         }
         Ok(scene)

@@ -62,7 +62,7 @@ fn what_the_probe_does_not_see_gathers_light() {
     let mut faces = room::faces(4.0, 2.5, 4.0);
     let shelf = [[-1.0, 0.3], [-1.0, 0.9], [-0.5, 0.9], [-0.5, 0.3]];
     let corners = shelf.map(|[x, z]| nalgebra::Point3::new(x, 1.2, z)).to_vec();
-    faces.push(Face { name: "shelf.top".into(), vertices: corners });
+    faces.push(Face { name: "shelf.top".into(), vertices: corners, gloss: None });
     let env = environment(Vec3::new(0.3, 0.6, -0.4));
     let light =
         build(&faces, &env, None, &Known::default(), &config::Illuminate::default(), |_| 0.0).unwrap().light;

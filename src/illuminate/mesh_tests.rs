@@ -4,7 +4,7 @@ use proptest::prelude::*;
 fn rectangle(w: f64, d: f64) -> Face {
     let vertices =
         [[0.0, 0.0], [0.0, d], [w, d], [w, 0.0]].map(|[x, z]| Point3::new(x - 0.3, 0.1, z)).to_vec();
-    Face { name: "floor".into(), vertices }
+    Face { name: "floor".into(), vertices, gloss: None }
 }
 
 fn meshed(face: &Face, edge: f64) -> PatchMesh {
@@ -69,9 +69,10 @@ fn faces_without_area_are_left_out() {
     let line = Face {
         name: "l".into(),
         vertices: vec![Point3::origin(), Point3::new(1.0, 0.0, 0.0), Point3::new(2.0, 0.0, 0.0)],
+        gloss: None,
     };
     assert!(FaceMesh::new(&line).is_none());
-    let point = Face { name: "p".into(), vertices: vec![Point3::origin(); 4] };
+    let point = Face { name: "p".into(), vertices: vec![Point3::origin(); 4], gloss: None };
     assert!(FaceMesh::new(&point).is_none());
 }
 
@@ -99,7 +100,7 @@ proptest! {
             let (s, c) = f64::from(*a).to_radians().sin_cos();
             turn * Point3::new(c, stretch * s, 0.2)
         }).collect();
-        let face = Face { name: "f".into(), vertices };
+        let face = Face { name: "f".into(), vertices, gloss: None };
         prop_assume!(face.area() > 0.05);
         let mesh = meshed(&face, 0.2);
         prop_assert!((total_area(&mesh) / face.area() - 1.0).abs() < 1e-4);

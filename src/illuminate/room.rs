@@ -9,6 +9,7 @@ pub fn faces(width: f64, height: f64, depth: f64) -> Vec<Face> {
     let face = |name: &str, corners: [[f64; 3]; 4]| Face {
         name: format!("room.{name}"),
         vertices: corners.map(|[x, y, z]| Point3::new(x, y, z)).to_vec(),
+        gloss: None,
     };
     vec![
         face("floor", [[-x, 0., -z], [-x, 0., z], [x, 0., z], [x, 0., -z]]),

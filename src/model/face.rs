@@ -11,6 +11,26 @@ pub struct Face {
     pub name: String,
     /// Corners in the world, m.
     pub vertices: Vec<Point3<f64>>,
+    /// What it mirrors besides.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gloss: Option<Gloss>,
+}
+
+/// A surface's Phong lobe.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Gloss {
+    /// Specular reflectance, 0..1.
+    pub specular: [f32; 3],
+    /// Phong exponent, 0 or more.
+    pub shininess: f32,
+}
+
+impl Gloss {
+    /// Whether it is what a surface can have.
+    pub fn is_sound(&self) -> bool {
+        self.specular.iter().all(|s| (0.0..=1.0).contains(s)) && (0.0..=1e6).contains(&self.shininess)
+    }
 }
 
 impl Face {

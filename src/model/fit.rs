@@ -122,6 +122,10 @@ impl<'a> Tree<'a> {
             if primitives[..i].iter().any(|q| q.name == p.name) {
                 return Err(Problem::Duplicate { name: p.name.clone() });
             }
+            if let Some(gloss) = p.gloss.filter(|g| !g.is_sound()) {
+                let (name, specular, shininess) = (p.name.clone(), gloss.specular, gloss.shininess);
+                return Err(Problem::Gloss { name, specular, shininess });
+            }
         }
         while !waiting.is_empty() {
             let before = waiting.len();

@@ -14,6 +14,16 @@ pub enum Problem {
         /// The name.
         name: String,
     },
+    /// A lobe that no surface has.
+    #[error("`{name}` has a gloss of specular {specular:?}, shininess {shininess}")]
+    Gloss {
+        /// The primitive.
+        name: String,
+        /// Specular reflectance.
+        specular: [f32; 3],
+        /// Phong exponent.
+        shininess: f32,
+    },
     /// The parent is not there, or cannot carry anything.
     #[error("`{name}` has the parent `{parent}`, which {why}")]
     Parent {
@@ -134,6 +144,7 @@ impl crate::error::Problem for Problem {
     fn hint(&self) -> String {
         match self {
             Self::Empty => "add at least one [[primitive]] to annotations.toml, e.g. a `ground`".into(),
+            Self::Gloss { .. } => "give reflectances from 0 to 1 and a shininess from 0 to 1e6".into(),
             Self::Duplicate { .. } => "give each primitive a name of its own".into(),
             Self::Parent { .. } => "name a room, ground or box as the parent, or leave it out".into(),
             Self::Cycle { .. } => "let one of them stand on the surface under the grid: leave out its `parent`".into(),

@@ -213,7 +213,8 @@ pub fn corner(primitive: &Primitive, placed: &Placed, values: &[f64], name: &str
 pub fn faces(primitive: &Primitive, placed: &Placed, values: &[f64]) -> Result<Vec<Face>, Problem> {
     let rectangle = |name: String, plane: &Plane, w: f64, h: f64| {
         let corners = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]];
-        Face { name, vertices: corners.map(|[u, v]| plane.at(u * w / 2.0, v * h / 2.0)).to_vec() }
+        let vertices = corners.map(|[u, v]| plane.at(u * w / 2.0, v * h / 2.0)).to_vec();
+        Face { name, vertices, gloss: primitive.gloss }
     };
     // Without a parent there is no face to win over.
     let lift_m = if primitive.parent.is_some() { IN_FRONT_M } else { 0.0 };
@@ -250,7 +251,7 @@ pub fn faces(primitive: &Primitive, placed: &Placed, values: &[f64]) -> Result<V
                 convex(corners).ok_or_else(|| Problem::NotConvex { name: primitive.name.clone() })?;
             let plane = forward(plane);
             let vertices = corners.iter().map(|[u, v]| plane.at(*u, *v)).collect();
-            vec![Face { name: primitive.name.clone(), vertices }]
+            vec![Face { name: primitive.name.clone(), vertices, gloss: primitive.gloss }]
         }
     })
 }

@@ -28,6 +28,8 @@ pub struct Receiver {
 pub struct Receivers {
     /// By pixel of the plate.
     pub pixels: Image<Option<Receiver>>,
+    /// Patches that the centre or a corner of some pixel sees, ascending.
+    pub seen: Vec<u32>,
 }
 
 /// Back sides are looked through, e.g. the near wall of a room modelled smaller than it is; at most so many.
@@ -54,7 +56,31 @@ impl Receivers {
                 Some(receiver)
             })
             .collect();
-        Self { pixels: Image::from_pixels(width, height, pixels) }
+        let pixels: Image<Option<Receiver>> = Image::from_pixels(width, height, pixels);
+        let corners: Vec<Option<u32>> = (0..(width + 1) * (height + 1))
+            .into_par_iter()
+            .map(|i| {
+                let (origin, direction) = ray((i % (width + 1)) as f64, (i / (width + 1)) as f64);
+                first_front(mesh, &bvh, origin, direction).map(|r| r.patch)
+            })
+            .collect();
+        let mut seen = vec![false; mesh.patches.len()];
+        let centres = pixels.pixels().iter().flatten().map(|r| r.patch);
+        centres.chain(corners.into_iter().flatten()).for_each(|p| seen[p as usize] = true);
+        let seen = (0..mesh.patches.len() as u32).filter(|&p| seen[p as usize]).collect();
+        Self { pixels, seen }
+    }
+
+    /// Size of the smallest pixel on each of some patches (ascending), m; infinite where only corners of pixels see it.
+    pub fn pixel_sizes(&self, patches: &[u32]) -> Vec<f32> {
+        let mut sizes = vec![f32::INFINITY; patches.len()];
+        for receiver in self.pixels.pixels().iter().flatten() {
+            if let Ok(i) = patches.binary_search(&receiver.patch) {
+                let [a, b] = receiver.footprint.map(Vec3::length);
+                sizes[i] = sizes[i].min(a.min(b));
+            }
+        }
+        sizes
     }
 }
 

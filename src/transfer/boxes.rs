@@ -1,11 +1,10 @@
 //! Axis-aligned boxes.
 
 use glam::Vec3;
-use serde::{Deserialize, Serialize};
 
 /// An axis-aligned box; empty where `min` is above `max`.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Box3 {
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Box3 {
     /// Least coordinates.
     pub min: Vec3,
     /// Largest coordinates.

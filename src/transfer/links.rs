@@ -81,8 +81,8 @@ impl Cutter<'_> {
         if at == node {
             cut.push((node, irradiance));
             let sum = irradiance.map(f64::from);
-            // Nothing is known of how a coarse entry parts.
-            let error = if n.children.is_some() { bright(sum) } else { 0.0 };
+            // Nothing is known of how a coarse entry parts: at worst, as two that have nothing in common.
+            let error = if n.children.is_some() { 2.0 * bright(sum) } else { 0.0 };
             return Some(Below { sum, error });
         }
         let [a, b] = n.children?;
@@ -93,8 +93,8 @@ impl Cutter<'_> {
         let (Some(x), Some(y)) = below else { return None };
         let sum: [f64; 3] = std::array::from_fn(|c| x.sum[c] + y.sum[c]);
         let share = self.tree.share(a, b);
-        let off = (0..3).map(|c| (x.sum[c] - share * sum[c]).abs()).collect::<Vec<_>>();
-        let error = x.error + y.error + 2.0 * bright([off[0], off[1], off[2]]);
+        let off = std::array::from_fn(|c| (x.sum[c] - share * sum[c]).abs());
+        let error = x.error + y.error + 2.0 * bright(off);
         if error > most {
             return None;
         }

@@ -1,14 +1,24 @@
 //! Radiance transfers from sources to receiver vertices (Gibson et al. 2003, §5).
 
-pub mod boxes;
+mod blockers;
+mod boxes;
 pub mod form_factor;
+mod gather;
 mod lights;
 mod links;
+mod lobe;
+mod octree;
 mod receivers;
+mod refine;
+mod rows;
 pub mod sampling;
+mod sets;
+mod shaft;
 mod shafts;
 mod solve;
 mod storage;
+#[cfg(test)]
+mod tests;
 mod tree;
 
 use crate::error;
@@ -19,11 +29,12 @@ use std::ops::Range;
 
 pub use links::Links;
 pub use receivers::{ReceiverMesh, ReceiverTriangle};
-pub use shafts::{Affected, ShaftHierarchy};
-pub use solve::solve;
+pub use rows::Finish;
+pub use shafts::{Affected, ShaftCounts, ShaftHierarchy, Traversal};
+pub use solve::{solve, solve_glossy};
 
 /// Which light a source is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SourceKind {
     /// Index into [`crate::illuminate::patch::PatchMesh::patches`].
@@ -73,6 +84,8 @@ pub struct Transfers {
     pub left_out: usize,
     /// Their share of all light that reaches the receivers: a bound on the part of a shadow that is missing.
     pub left_out_share: f64,
+    /// Their largest share of the irradiance of one receiver vertex: the same bound for any place.
+    pub largest_left_out_share: f64,
 }
 
 /// Binary tree over the source set.

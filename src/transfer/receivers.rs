@@ -101,6 +101,11 @@ impl ReceiverMesh {
         Some((part.vertices, weights))
     }
 
+    /// Centroid of a triangle, m.
+    pub(super) fn centroid(&self, triangle: &ReceiverTriangle) -> Vec3 {
+        triangle.vertices.map(|v| self.positions[v as usize]).into_iter().sum::<Vec3>() / 3.0
+    }
+
     /// A third of the area of the triangles around each vertex, m².
     pub fn vertex_areas(&self) -> Vec<f64> {
         let mut areas = vec![0.0; self.positions.len()];

@@ -1,7 +1,11 @@
 //! Transfers on disk: `transfer.json` for a reader's eye, arrays beside it.
 
+use super::boxes::Box3;
+use super::octree::{ReceiverNode, ReceiverTree};
 use super::receivers::{Part, ReceiverMesh, Split};
-use super::{Links, ShaftHierarchy, Source, SourceKind, SourceNode, SourceTree, Transfers};
+use super::shafts::ShaftNode;
+use super::tree::Extent;
+use super::{Links, ShaftCounts, ShaftHierarchy, Source, SourceKind, SourceNode, SourceTree, Transfers};
 use crate::artefact::json::{self, JsonArtefact};
 use crate::artefact::npy::{self, Element};
 use crate::artefact::remake;
@@ -17,6 +21,7 @@ struct Index {
     sources: usize,
     left_out: usize,
     left_out_share: f64,
+    largest_left_out_share: f64,
     receiver_patches: usize,
     receiver_vertices: usize,
     links: usize,
@@ -25,6 +30,18 @@ struct Index {
 impl JsonArtefact for Index {
     const FORMAT: &'static str = "insitu-transfer";
     const VERSION: u32 = 2;
+}
+
+/// `hierarchy.json`: what the arrays of the hierarchies hold.
+#[derive(Serialize, Deserialize)]
+struct Hierarchy {
+    #[serde(flatten)]
+    counts: ShaftCounts,
+}
+
+impl JsonArtefact for Hierarchy {
+    const FORMAT: &'static str = "insitu-hierarchy";
+    const VERSION: u32 = 1;
 }
 
 /// Stands for "none" among indices.
@@ -64,6 +81,21 @@ impl Folder<'_> {
         }
     }
 
+    fn hierarchy(&self, files: [&str; 6], sources: usize, patches: usize) -> Result<ShaftHierarchy> {
+        let [_, shafts, source_boxes, octree, boxes, order] = files;
+        let nodes: Array2<u32> = self.table(octree, 4)?;
+        let boxes = self.rows(boxes, (nodes.nrows(), 6))?;
+        let receivers = read_octree(&nodes, &boxes, self.list(order, patches)?);
+        let receivers =
+            receivers.ok_or_else(|| self.refuse(octree, "damaged: nodes do not form a tree".into()))?;
+        let shafts_found = read_shafts(&self.table(shafts, 4)?, sources, nodes.nrows());
+        Ok(ShaftHierarchy {
+            shafts: shafts_found.ok_or_else(|| self.refuse(shafts, "damaged: shafts without ends".into()))?,
+            sources: read_source_boxes(&self.rows(source_boxes, (sources, 7))?),
+            receivers,
+        })
+    }
+
     fn hold(&self, name: &str, holds: bool, what: &str) -> Result<()> {
         if holds { Ok(()) } else { Err(self.refuse(name, format!("damaged: {what}"))) }
     }
@@ -71,7 +103,7 @@ impl Folder<'_> {
 
 impl Transfers {
     /// Names of the files in a stage's folder.
-    pub const FILES: [&'static str; 9] = [
+    pub const FILES: [&'static str; 15] = [
         "transfer.json",
         "sources.npy",
         "source_tree.npy",
@@ -81,6 +113,12 @@ impl Transfers {
         "links_node.npy",
         "links_irradiance.npy",
         "irradiance.npy",
+        "hierarchy.json",
+        "shafts.npy",
+        "source_boxes.npy",
+        "receiver_tree.npy",
+        "receiver_boxes.npy",
+        "receiver_order.npy",
     ];
 
     /// Writes the files into a folder.
@@ -89,11 +127,12 @@ impl Transfers {
             sources: self.sources.len(),
             left_out: self.left_out,
             left_out_share: self.left_out_share,
+            largest_left_out_share: self.largest_left_out_share,
             receiver_patches: self.receivers.patches.len(),
             receiver_vertices: self.receivers.positions.len(),
             links: self.links.node.len(),
         };
-        let [a, sources, tree, receivers, parts, first, node, light, irradiance] =
+        let [a, sources, tree, receivers, parts, first, node, light, irradiance, rest @ ..] =
             Self::FILES.map(|f| folder.join(f));
         json::write(&a, &index)?;
         npy::write(&sources, &sources_array(&self.sources))?;
@@ -104,12 +143,19 @@ impl Transfers {
         npy::write(&node, &Array1::from(self.links.node.clone()))?;
         let rgb = &self.links.irradiance;
         npy::write(&light, &Array2::from_shape_fn((rgb.len(), 3), |(i, c)| rgb[i][c]))?;
-        npy::write(&irradiance, &self.irradiance)
+        npy::write(&irradiance, &self.irradiance)?;
+        let [hierarchy, shafts, source_boxes, octree, boxes, order] = rest;
+        json::write(&hierarchy, &Hierarchy { counts: self.shaft_counts() })?;
+        npy::write(&shafts, &shafts_array(&self.shafts))?;
+        npy::write(&source_boxes, &source_boxes_array(&self.shafts))?;
+        npy::write(&octree, &octree_array(&self.shafts.receivers))?;
+        npy::write(&boxes, &boxes_array(&self.shafts.receivers))?;
+        npy::write(&order, &Array1::from(self.shafts.receivers.order.clone()))
     }
 
     /// Reads the files of a folder; refuses arrays that do not fit each other.
     pub fn read(folder: &Path) -> Result<Self> {
-        let [a, sources, tree, receivers, parts, first, node, light, irradiance] = Self::FILES;
+        let [a, sources, tree, receivers, parts, first, node, light, irradiance, rest @ ..] = Self::FILES;
         let index: Index = json::read(&folder.join(a))?;
         let folder = Folder(folder);
         let vertices = index.receiver_vertices;
@@ -136,15 +182,17 @@ impl Transfers {
             links.node.iter().all(|&n| (n as usize) < nodes.nrows()),
             "nodes that do not exist",
         )?;
+        let shafts = folder.hierarchy(rest, nodes.nrows(), index.receiver_patches)?;
         Ok(Self {
             tree: read_tree(&nodes, &sources),
             sources,
             receivers: mesh,
             links,
             irradiance: folder.rows(irradiance, (vertices, 3))?,
-            shafts: ShaftHierarchy::default(),
+            shafts,
             left_out: index.left_out,
             left_out_share: index.left_out_share,
+            largest_left_out_share: index.largest_left_out_share,
         })
     }
 }
@@ -246,6 +294,79 @@ fn read_receivers(points: &Array2<f32>, parts: &Array2<u32>, patches: usize) -> 
     Some(mesh)
 }
 
+/// [shafts × (source node, receiver node, first shaft within, how many)].
+fn shafts_array(hierarchy: &ShaftHierarchy) -> Array2<u32> {
+    let row = |s: &ShaftNode| [s.source, s.receiver, s.first, s.count];
+    Array2::from(hierarchy.shafts.iter().map(row).collect::<Vec<_>>())
+}
+
+fn read_shafts(array: &Array2<u32>, sources: usize, receivers: usize) -> Option<Vec<ShaftNode>> {
+    let shaft = |(r, i): (ndarray::ArrayView1<u32>, u32)| {
+        let [source, receiver, first, count] = [r[0], r[1], r[2], r[3]];
+        let ends = (source as usize) < sources && (receiver as usize) < receivers;
+        let within = first.checked_add(count).is_some_and(|end| end as usize <= array.nrows());
+        let whole = ends && within && (count == 0 || first > i);
+        whole.then_some(ShaftNode { source, receiver, first, count })
+    };
+    array.outer_iter().zip(0..).map(shaft).collect()
+}
+
+/// [nodes × (0 patches, 1 distant, 2 both; least and largest coordinates)].
+fn source_boxes_array(hierarchy: &ShaftHierarchy) -> Array2<f32> {
+    let row = |e: &Extent| {
+        let (kind, b) = match *e {
+            Extent::Patches(b) => (0.0, b),
+            Extent::Distant(b) => (1.0, b),
+            Extent::Both => (2.0, Box3 { min: Vec3::ZERO, max: Vec3::ZERO }),
+        };
+        [kind, b.min.x, b.min.y, b.min.z, b.max.x, b.max.y, b.max.z]
+    };
+    Array2::from(hierarchy.sources.iter().map(row).collect::<Vec<_>>())
+}
+
+fn read_source_boxes(array: &Array2<f32>) -> Vec<Extent> {
+    let extent = |r: ndarray::ArrayView1<f32>| match (r[0] as u32, box_of(r.slice(ndarray::s![1..]))) {
+        (0, b) => Extent::Patches(b),
+        (1, b) => Extent::Distant(b),
+        _ => Extent::Both,
+    };
+    array.outer_iter().map(extent).collect()
+}
+
+fn box_of(r: ndarray::ArrayView1<f32>) -> Box3 {
+    Box3 { min: Vec3::new(r[0], r[1], r[2]), max: Vec3::new(r[3], r[4], r[5]) }
+}
+
+/// [nodes × (first child, end; first patch, end)].
+fn octree_array(tree: &ReceiverTree) -> Array2<u32> {
+    let row = |n: &ReceiverNode| [n.children.start, n.children.end, n.patches.start, n.patches.end];
+    Array2::from(tree.nodes.iter().map(row).collect::<Vec<_>>())
+}
+
+/// [nodes × (least and largest coordinates, m)].
+fn boxes_array(tree: &ReceiverTree) -> Array2<f32> {
+    let row = |n: &ReceiverNode| {
+        let (a, b) = (n.bounds.min, n.bounds.max);
+        [a.x, a.y, a.z, b.x, b.y, b.z]
+    };
+    Array2::from(tree.nodes.iter().map(row).collect::<Vec<_>>())
+}
+
+fn read_octree(nodes: &Array2<u32>, boxes: &Array2<f32>, order: Vec<u32>) -> Option<ReceiverTree> {
+    let (count, patches) = (nodes.nrows() as u32, order.len() as u32);
+    let node = |((r, b), i): ((ndarray::ArrayView1<u32>, ndarray::ArrayView1<f32>), u32)| {
+        let (children, range) = (r[0]..r[1], r[2]..r[3]);
+        let whole = children.start <= children.end
+            && children.end <= count
+            && (children.is_empty() || children.start > i)
+            && range.start <= range.end
+            && range.end <= patches;
+        whole.then_some(ReceiverNode { bounds: box_of(b), children, patches: range })
+    };
+    let nodes = nodes.outer_iter().zip(boxes.outer_iter()).zip(0..).map(node).collect::<Option<_>>()?;
+    order.iter().all(|&p| p < patches).then_some(ReceiverTree { nodes, order })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -268,6 +389,18 @@ mod tests {
             ],
         };
         receivers.list_triangles();
+        let bounds = Box3::of([Vec3::ZERO, Vec3::ONE]);
+        let hierarchy = ShaftHierarchy {
+            shafts: vec![
+                ShaftNode { source: 0, receiver: 0, first: 1, count: 1 },
+                ShaftNode { source: 1, receiver: 0, first: 0, count: 0 },
+            ],
+            sources: vec![Extent::Both, Extent::Patches(bounds), Extent::Distant(bounds)],
+            receivers: ReceiverTree {
+                nodes: vec![ReceiverNode { bounds, children: 0..0, patches: 0..1 }],
+                order: vec![0],
+            },
+        };
         Transfers {
             sources,
             tree: SourceTree {
@@ -280,9 +413,10 @@ mod tests {
                 irradiance: vec![[0.1; 3], [0.2; 3], [0.3; 3]],
             },
             irradiance: Array2::ones((4, 3)),
-            shafts: ShaftHierarchy::default(),
+            shafts: hierarchy,
             left_out: 4,
             left_out_share: 0.1,
+            largest_left_out_share: 0.2,
         }
     }
 
@@ -316,5 +450,9 @@ mod tests {
             npy::write(p, &Array2::from(vec![[0, 1, 2, 0, 0, 1]])).unwrap();
         });
         assert!(e.contains("receiver_parts.npy: damaged"), "{e}");
+        let e = refused("shafts.npy", &|p| {
+            npy::write(p, &Array2::from(vec![[0u32, 0, 1, 1], [1, 7, 0, 0]])).unwrap()
+        });
+        assert!(e.contains("shafts.npy: damaged: shafts without ends"), "{e}");
     }
 }

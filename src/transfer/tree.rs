@@ -36,7 +36,7 @@ pub(crate) struct LightTree {
 }
 
 /// How far two opposite normals count as apart, as a share of the diagonal of all patches.
-const ORIENTATION: f32 = 0.5;
+const ORIENTATION: f32 = 1.0;
 
 struct Builder<'a> {
     lights: &'a [Light],

@@ -1,0 +1,495 @@
+//! What lights send to a point: exact form factors near by, clusters of lights far away, visibility by rays.
+//!
+//! A cluster is taken as one where it lies wholly before the point's horizon and faces the point with all its lights, its
+//! radius is at most a fifth of its distance, and it sends no more than a given bound. Its irradiance is then that of its
+//! summed vector areas at its centroid of power, whose error falls with the square of radius over distance (below 2 ρ²
+//! of the luminance for flat clusters, tested). Distant lights above the horizon add up exactly.
+
+use super::boxes::Box3;
+use super::form_factor;
+use super::lights::{Light, Shape};
+use super::lobe::Lobe;
+use super::sampling::{Shift, in_cap, on_triangle};
+use super::tree::{Extent, LightTree};
+use crate::image::luminance;
+use crate::visibility::Bvh;
+use glam::Vec3;
+use std::f32::consts::PI;
+
+/// Rays leave a surface by this much, m: above rounding, below what a shadow shows.
+pub(super) const OFFSET_M: f32 = 5e-4;
+/// Points of a light that are tried until one is above the horizon.
+const MOST_TRIES: u32 = 32;
+/// Rays towards distant light are this long, m.
+const BEYOND_M: f32 = 1e5;
+/// Largest radius over distance of a cluster that is taken as one …
+const FAR: f32 = 0.2;
+/// … of one light, whose exact form factor is to be had instead, …
+const FAR_LIGHT: f32 = 0.05;
+/// … and where only the order of magnitude counts.
+const COARSE: f32 = 0.5;
+
+/// Lights in the order of their tree's leaves, and what its nodes send.
+#[derive(Debug, Clone, Default)]
+pub(super) struct LightField {
+    pub lights: Vec<Light>,
+    pub tree: LightTree,
+    clusters: Vec<Cluster>,
+    /// Power of all leaves before each, and of all.
+    power: Vec<f64>,
+}
+
+/// The lights below a node as one.
+#[derive(Debug, Clone, Copy)]
+struct Cluster {
+    /// Radiance × area × normal, or radiance × solid angle × direction, of each channel.
+    moment: [Vec3; 3],
+    /// Centroid of power, m; unused for distant lights.
+    centre: Vec3,
+    /// Distance of the farthest corner of the box from there, m.
+    radius: f32,
+    normals: Box3,
+}
+
+/// A point that gathers light.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Point {
+    /// Off the surface by [`OFFSET_M`], m.
+    pub position: Vec3,
+    pub normal: Vec3,
+    /// What it mirrors to the plate's camera.
+    pub lobe: Option<Lobe>,
+}
+
+impl Point {
+    /// Of its own for each place: the same rays for any order of work.
+    fn seed(&self) -> u64 {
+        let [x, y, z] = self.position.to_array().map(|c| u64::from(c.to_bits()));
+        x.rotate_left(42) ^ y.rotate_left(21) ^ z
+    }
+}
+
+/// What a node sends to a point.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Sent {
+    pub node: u32,
+    /// Plate units.
+    pub irradiance: [f32; 3],
+    /// Luminance of what it would send if nothing stood between.
+    pub open: f32,
+}
+
+/// How finely to gather.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Fineness {
+    /// Clusters that send more (luminance) are opened.
+    pub most: f64,
+    /// Only the order of magnitude counts.
+    pub coarse: bool,
+}
+
+impl LightField {
+    pub fn new(lights: &[Light]) -> Self {
+        let tree = LightTree::build(lights);
+        let lights: Vec<Light> = tree.order.iter().map(|&i| lights[i as usize]).collect();
+        let ends = lights.iter().scan(0.0, |sum, l| {
+            *sum += l.power();
+            Some(*sum)
+        });
+        let power: Vec<f64> = std::iter::once(0.0).chain(ends).collect();
+        let cluster = |node: &super::tree::LightNode| {
+            let members = &lights[node.leaves.start as usize..node.leaves.end as usize];
+            let mut moment = [Vec3::ZERO; 3];
+            let (mut centre, mut sum) = (Vec3::ZERO, 0.0f32);
+            for l in members {
+                let (area, weight) = (l.extent(), l.power() as f32);
+                let vector = if l.is_distant() { l.centre() } else { l.normal() } * area;
+                (0..3).for_each(|c| moment[c] += vector * l.radiance[c]);
+                (centre, sum) = (centre + l.centre() * weight, sum + weight);
+            }
+            let Extent::Patches(bounds) = node.extent else {
+                return Cluster { moment, centre: Vec3::ZERO, radius: 0.0, normals: Box3::EMPTY };
+            };
+            let centre = if sum > 0.0 { centre / sum } else { bounds.centre() };
+            let radius = bounds.corners().iter().map(|c| c.distance(centre)).fold(0.0, f32::max);
+            Cluster { moment, centre, radius, normals: Box3::of(members.iter().map(Light::normal)) }
+        };
+        let clusters = tree.nodes.iter().map(cluster).collect();
+        Self { lights, tree, clusters, power }
+    }
+
+    /// A leaf below a node, the more often the stronger it is: `u` in 0..1.
+    fn leaf(&self, node: u32, u: f32) -> usize {
+        let leaves = &self.tree.nodes[node as usize].leaves;
+        let (start, end) = (leaves.start as usize, leaves.end as usize);
+        let at = self.power[start] + f64::from(u) * (self.power[end] - self.power[start]);
+        start + self.power[start + 1..end].partition_point(|&p| p <= at)
+    }
+}
+
+/// The scene between lights and points.
+pub(super) struct Gatherer<'a> {
+    pub bvh: &'a Bvh,
+    /// Most rays towards a light or a cluster.
+    pub rays: u32,
+}
+
+/// Whether a node sends anything to a point, and whether it may be taken as one light.
+enum Seen {
+    Nothing,
+    Near,
+    /// Near, and its mirror image is seen.
+    Mirrored(Lobe),
+    /// Its irradiance with nothing between.
+    Far([f32; 3]),
+}
+
+impl Gatherer<'_> {
+    /// Irradiance at a point from each light or far cluster, in the order of the leaves. `free` tells of each node
+    /// ([nodes]) whether nothing stands between it and the point; a node below a free one is free.
+    pub fn cut(&self, field: &LightField, free: &[bool], p: &Point, fineness: Fineness, out: &mut Vec<Sent>) {
+        out.clear();
+        let mut stack = Vec::with_capacity(64);
+        if !field.tree.nodes.is_empty() {
+            stack.push((0u32, false));
+        }
+        while let Some((i, free_above)) = stack.pop() {
+            let node = &field.tree.nodes[i as usize];
+            let free = free_above || free[i as usize];
+            let open = match (seen(field, i, p, fineness.coarse), node.children) {
+                (Seen::Nothing, _) => continue,
+                (Seen::Far(e), None) => e,
+                (Seen::Far(e), Some(_)) if f64::from(luminance(e)) <= fineness.most => e,
+                (_, Some([a, b])) => {
+                    stack.extend([(b, free), (a, free)]);
+                    continue;
+                }
+                (Seen::Near, None) => exact(&field.lights[node.leaves.start as usize], p),
+                (Seen::Mirrored(lobe), None) => {
+                    let (irradiance, open) = self.mirrored(field, i, p, &lobe, free);
+                    out.push(Sent { node: i, irradiance, open });
+                    continue;
+                }
+            };
+            if open == [0.0; 3] {
+                continue;
+            }
+            let visible = if free { 1.0 } else { self.visible(field, i, p) };
+            let sent = Sent { node: i, irradiance: open.map(|c| c * visible), open: luminance(open) };
+            out.push(sent);
+        }
+    }
+
+    /// Share of a node's light that reaches a point: a third of the rays first, the others only where those disagree.
+    fn visible(&self, field: &LightField, node: u32, p: &Point) -> f32 {
+        let leaves = &field.tree.nodes[node as usize].leaves;
+        let shift = Shift::new(leaves_seed(&field.lights[leaves.start as usize]), p.seed());
+        let first = (self.rays / 3).max(2).min(self.rays);
+        let (mut seen, mut all) = (0.0, 0.0);
+        // Of a light that stands halfway up the horizon more points are tried until some are above.
+        for k in 0..self.rays.max(MOST_TRIES) {
+            if all > 0.0 && (k >= self.rays || k >= first && (seen == 0.0 || seen == all)) {
+                break;
+            }
+            let one = leaves.len() == 1;
+            let leaf = if one {
+                leaves.start as usize
+            } else {
+                // The first rays are spread over the whole cluster, and all of them are.
+                let u = (k % first) as f32 / first as f32 + shift.jitter(k) / first as f32;
+                field.leaf(node, u)
+            };
+            let (weight, visible) = self.ray(&field.lights[leaf], p, shift, k);
+            // Members of a cluster are drawn by power and send alike.
+            let weight = if one { weight } else { f32::from(u8::from(weight > 0.0)) };
+            all += weight;
+            seen += if visible { weight } else { 0.0 };
+        }
+        if all > 0.0 { seen / all } else { 0.0 }
+    }
+
+    /// Irradiance from one light with the lobe's weight, and its luminance with nothing between: the exact form factor
+    /// times means over stratified points.
+    fn mirrored(&self, field: &LightField, node: u32, p: &Point, lobe: &Lobe, free: bool) -> ([f32; 3], f32) {
+        let light = &field.lights[field.tree.nodes[node as usize].leaves.start as usize];
+        let shift = Shift::new(leaves_seed(light), p.seed());
+        let (mut all, mut open, mut sent) = (0.0, [0.0; 3], [0.0; 3]);
+        for k in 0..self.rays.max(MOST_TRIES) {
+            let (weight, direction, target) = sample(light, p, shift, k);
+            if weight > 0.0 {
+                all += weight;
+                let visible = free || self.gets_through(p, target);
+                for (c, w) in lobe.weight(direction).into_iter().enumerate() {
+                    open[c] += weight * w;
+                    sent[c] += if visible { weight * w } else { 0.0 };
+                }
+            }
+        }
+        if all == 0.0 {
+            return ([0.0; 3], 0.0);
+        }
+        let e = exact(light, p);
+        let scaled = |sum: [f32; 3]| std::array::from_fn(|c| e[c] * sum[c] / all);
+        (scaled(sent), luminance(scaled(open)))
+    }
+
+    fn gets_through(&self, p: &Point, target: Target) -> bool {
+        match target {
+            Target::Place(y) => !self.bvh.occluded(p.position, y),
+            Target::Direction(w) => !self.bvh.any_hit(p.position, w, 0.0, BEYOND_M),
+        }
+    }
+
+    /// One ray towards a light: its weight in the form factor, and whether it gets there.
+    fn ray(&self, light: &Light, p: &Point, shift: Shift, k: u32) -> (f32, bool) {
+        let (weight, _, target) = sample(light, p, shift, k);
+        (weight, weight > 0.0 && self.gets_through(p, target))
+    }
+}
+
+/// Where a ray goes.
+#[derive(Clone, Copy)]
+enum Target {
+    /// m
+    Place(Vec3),
+    Direction(Vec3),
+}
+
+/// A point of a light: its weight in the form factor, the unit direction to it, and where it is.
+fn sample(light: &Light, p: &Point, shift: Shift, k: u32) -> (f32, Vec3, Target) {
+    match light.shape {
+        Shape::Patch { corners, normal } => {
+            let y = on_triangle(corners, shift.point(k));
+            let w = y - p.position;
+            let cosines = w.dot(p.normal).max(0.0) * (-w.dot(normal)).max(0.0);
+            let weight = cosines / w.length_squared().powi(2);
+            (weight, w.normalize_or_zero(), Target::Place(y + normal * OFFSET_M))
+        }
+        Shape::Distant { direction, angular_radius, .. } => {
+            let w = in_cap(direction, angular_radius, shift.point(k));
+            (w.dot(p.normal).max(0.0), w, Target::Direction(w))
+        }
+    }
+}
+
+fn leaves_seed(light: &Light) -> u64 {
+    match light.kind {
+        super::SourceKind::Patch(i) => u64::from(i),
+        super::SourceKind::Distant(i) => u64::from(i) | 1 << 40,
+    }
+}
+
+/// Irradiance from one light with nothing between.
+pub(super) fn exact(light: &Light, p: &Point) -> [f32; 3] {
+    let factor = match light.shape {
+        Shape::Patch { corners, .. } => PI * form_factor::polygon(p.position, p.normal, &corners),
+        Shape::Distant { direction, solid_angle, .. } => solid_angle * direction.dot(p.normal).max(0.0),
+    };
+    light.radiance.map(|c| c * factor)
+}
+
+fn seen(field: &LightField, i: u32, p: &Point, coarse: bool) -> Seen {
+    let (node, cluster) = (&field.tree.nodes[i as usize], &field.clusters[i as usize]);
+    match node.extent {
+        Extent::Both => Seen::Near,
+        Extent::Distant(w) => {
+            let (low, high) = support(w, p.normal);
+            let mirrored = || mirrored(p, w.centre(), w.size().length() / 2.0, 1.0, coarse);
+            if high <= 0.0 {
+                Seen::Nothing
+            } else if let Some(lobe) = mirrored() {
+                Seen::Mirrored(lobe)
+            } else if low >= 0.0 || coarse {
+                Seen::Far(cluster.moment.map(|m| m.dot(p.normal).max(0.0)))
+            } else {
+                Seen::Near
+            }
+        }
+        Extent::Patches(b) => {
+            let b = Box3 { min: b.min - p.position, max: b.max - p.position };
+            let (low, high) = support(b, p.normal);
+            if high <= 0.0 {
+                return Seen::Nothing;
+            }
+            let (away, towards) = facing(b, cluster.normals);
+            if towards <= 0.0 {
+                return Seen::Nothing;
+            }
+            let w = cluster.centre - p.position;
+            let (height, square) = (w.dot(p.normal), w.length_squared());
+            if let Some(lobe) = mirrored(p, w, cluster.radius, square.sqrt(), coarse) {
+                return Seen::Mirrored(lobe);
+            }
+            let far = match (coarse, node.children) {
+                (true, _) => COARSE,
+                (false, None) => FAR_LIGHT,
+                (false, Some(_)) => FAR,
+            };
+            let whole = low >= height / 2.0 && away >= 0.0 || coarse;
+            if !whole || cluster.radius * cluster.radius > far * far * square {
+                return Seen::Near;
+            }
+            let scale = height.max(0.0) / (square * square);
+            Seen::Far(cluster.moment.map(|m| -m.dot(w).min(0.0) * scale))
+        }
+    }
+}
+
+/// The lobe of a point, if it adds to light from within a sphere around `w`; `distance` is that of the sphere's middle.
+fn mirrored(p: &Point, w: Vec3, radius: f32, distance: f32, coarse: bool) -> Option<Lobe> {
+    let lobe = p.lobe.filter(|_| !coarse)?;
+    let direction = w.normalize_or_zero();
+    (direction == Vec3::ZERO || lobe.reaches(direction, radius / distance)).then_some(lobe)
+}
+
+/// Least and largest dot product of a vector with those of a box.
+fn support(b: Box3, n: Vec3) -> (f32, f32) {
+    let (at, reach) = (b.centre().dot(n), (b.size() / 2.0).dot(n.abs()));
+    (at - reach, at + reach)
+}
+
+/// Least and largest of −w·n for w and n of two boxes.
+fn facing(w: Box3, n: Box3) -> (f32, f32) {
+    let products = [w.min * n.min, w.min * n.max, w.max * n.min, w.max * n.max];
+    let low = products.into_iter().fold(Vec3::INFINITY, Vec3::min);
+    let high = products.into_iter().fold(Vec3::NEG_INFINITY, Vec3::max);
+    (-high.element_sum(), -low.element_sum())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::transfer::SourceKind;
+    use proptest::prelude::*;
+
+    fn vec(range: std::ops::Range<f32>) -> impl Strategy<Value = Vec3> {
+        (range.clone(), range.clone(), range).prop_map(|(x, y, z)| Vec3::new(x, y, z))
+    }
+
+    /// A square of n × n × 2 patches at y = 0 that faces up, its brightness from `shade`.
+    fn panel(n: usize, side: f32, shade: impl Fn(usize, usize) -> f32) -> Vec<Light> {
+        let step = side / n as f32;
+        let at =
+            |i: usize, j: usize| Vec3::new(i as f32 * step - side / 2.0, 0.0, j as f32 * step - side / 2.0);
+        let mut lights = Vec::new();
+        for (i, j) in (0..n).flat_map(|i| (0..n).map(move |j| (i, j))) {
+            for corners in
+                [[at(i, j), at(i, j + 1), at(i + 1, j + 1)], [at(i, j), at(i + 1, j + 1), at(i + 1, j)]]
+            {
+                let shape = Shape::Patch { corners, normal: Vec3::Y };
+                let (kind, s) = (SourceKind::Patch(lights.len() as u32), shade(i, j));
+                lights.push(Light { kind, radiance: [s, s, 0.5 * s], shape });
+            }
+        }
+        lights
+    }
+
+    fn sum(sent: &[Sent]) -> [f64; 3] {
+        std::array::from_fn(|c| sent.iter().map(|s| f64::from(s.irradiance[c])).sum())
+    }
+
+    fn all(lights: &[Light], p: &Point) -> [f64; 3] {
+        let each: Vec<_> = lights.iter().map(|l| exact(l, p)).collect();
+        std::array::from_fn(|c| each.iter().map(|e| f64::from(e[c])).sum())
+    }
+
+    proptest! {
+        #[test]
+        fn far_clusters_keep_their_bound(
+            p in vec(-3.0..3.0), n in vec(-1.0..1.0), turn in 0.2..3.0f32,
+        ) {
+            prop_assume!(n.length() > 0.1 && p.y > 0.05);
+            let p = Point { position: p, normal: n.normalize(), lobe: None };
+            let lights = panel(8, 1.0, |i, j| 1.0 + (i as f32 * turn + j as f32).sin());
+            let field = LightField::new(&lights);
+            let bvh = Bvh::new(&[], &[]);
+            let gatherer = Gatherer { bvh: &bvh, rays: 4 };
+            let mut sent = Vec::new();
+            let free = vec![true; field.tree.nodes.len()];
+            gatherer.cut(&field, &free, &p, Fineness { most: f64::INFINITY, coarse: false }, &mut sent);
+            let (found, truth) = (sum(&sent), all(&lights, &p));
+            for c in 0..3 {
+                let bound = 2.0 * f64::from(FAR * FAR);
+                prop_assert!((found[c] - truth[c]).abs() <= bound * truth[c] + 1e-6, "{} against {}", found[c], truth[c]);
+            }
+        }
+
+        #[test]
+        fn with_no_cluster_each_light_is_exact(p in vec(-2.0..2.0), n in vec(-1.0..1.0)) {
+            prop_assume!(n.length() > 0.1);
+            let p = Point { position: p, normal: n.normalize(), lobe: None };
+            let lights = panel(4, 1.0, |_, _| 2.0);
+            let field = LightField::new(&lights);
+            let bvh = Bvh::new(&[], &[]);
+            let mut sent = Vec::new();
+            let free = vec![true; field.tree.nodes.len()];
+            let gatherer = Gatherer { bvh: &bvh, rays: 4 };
+            gatherer.cut(&field, &free, &p, Fineness { most: 0.0, coarse: false }, &mut sent);
+            for s in &sent {
+                let leaf = field.tree.nodes[s.node as usize].leaves.clone();
+                prop_assert_eq!(leaf.len(), 1);
+                let e = exact(&field.lights[leaf.start as usize], &p);
+                prop_assert!((e[0] - s.irradiance[0]).abs() <= 0.01 * e[0] + 1e-7);
+            }
+            let (found, truth) = (sum(&sent), all(&lights, &p));
+            prop_assert!((found[1] - truth[1]).abs() <= 0.01 * truth[1] + 1e-6);
+        }
+    }
+
+    #[test]
+    fn a_mirrored_light_agrees_with_brute_force() {
+        let gloss = crate::model::face::Gloss { specular: [0.3, 0.2, 0.1], shininess: 40.0 };
+        let lights = panel(4, 1.0, |_, _| 1.0);
+        let field = LightField::new(&lights);
+        let bvh = Bvh::new(&[], &[]);
+        let gatherer = Gatherer { bvh: &bvh, rays: 32 };
+        for (x, eye) in [
+            (0.0, Vec3::new(0.1, -2.0, 0.0)),
+            (0.6, Vec3::new(2.0, -1.0, 0.3)),
+            (1.5, Vec3::new(4.0, -2.0, 0.0)),
+        ] {
+            let (position, normal) = (Vec3::new(x, 1.0, 0.2), -Vec3::Y);
+            let lobe = Lobe::new(&gloss, [0.5; 3], position, normal, eye);
+            let p = Point { position, normal, lobe };
+            let (mut sent, free) = (Vec::new(), vec![true; field.tree.nodes.len()]);
+            gatherer.cut(&field, &free, &p, Fineness { most: 0.0, coarse: false }, &mut sent);
+            let (n, mut truth) = (600, [0.0f64; 3]);
+            for (i, j) in (0..n).flat_map(|i| (0..n).map(move |j| (i, j))) {
+                let y = Vec3::new((i as f32 + 0.5) / n as f32 - 0.5, 0.0, (j as f32 + 0.5) / n as f32 - 0.5);
+                let w = y - position;
+                let (r2, d) = (w.length_squared(), w.normalize());
+                let kernel = f64::from(w.dot(normal) * -w.dot(Vec3::Y) / (r2 * r2)) / f64::from(n * n);
+                let weight = lobe.unwrap().weight(d);
+                (0..3).for_each(|c| truth[c] += kernel * f64::from(weight[c]) * [1.0, 1.0, 0.5][c]);
+            }
+            let found = sum(&sent);
+            for c in 0..3 {
+                assert!((found[c] / truth[c] - 1.0).abs() < 0.03, "{} against {} at {x}", found[c], truth[c]);
+            }
+        }
+    }
+
+    #[test]
+    fn half_a_panel_behind_a_wall_sends_half() {
+        let lights = panel(8, 1.0, |_, _| 1.0);
+        let field = LightField::new(&lights);
+        let wall = [
+            Vec3::new(0.0, 0.01, -9.0),
+            Vec3::new(9.0, 0.01, -9.0),
+            Vec3::new(0.0, 0.01, 9.0),
+            Vec3::new(9.0, 0.01, 9.0),
+        ];
+        let bvh = Bvh::new(&wall, &[[0, 1, 2], [1, 3, 2]]);
+        let gatherer = Gatherer { bvh: &bvh, rays: 16 };
+        let free = vec![false; field.tree.nodes.len()];
+        let p = Point { position: Vec3::new(0.0, 8.0, 0.0), normal: -Vec3::Y, lobe: None };
+        let (truth, mut sent) = (all(&lights, &p), Vec::new());
+        for most in [0.0, 0.01, f64::INFINITY] {
+            gatherer.cut(&field, &free, &p, Fineness { most, coarse: false }, &mut sent);
+            let share = sum(&sent)[1] / truth[1];
+            assert!((share - 0.5).abs() < 0.1, "{share} with clusters up to {most}");
+            assert!(sent.windows(2).all(|s| field.tree.nodes[s[0].node as usize].leaves.end
+                <= field.tree.nodes[s[1].node as usize].leaves.start));
+        }
+    }
+}

@@ -1,0 +1,293 @@
+//! Receivers are split where what reaches them is not linear: at the borders of the scene's own shadows, so that light
+//! which furniture hides already is not taken away again beside them.
+//!
+//! An edge is a candidate where clusters of sources are hidden to different parts at its ends: between those, its middle is
+//! off by at most half the difference. The middle is then gathered, and the edge is halved where that differs from the mean of the ends by more than the tolerance. Triangles are bisected at
+//! their longest edge first (Rivara 1984), so that the mesh stays conforming and its angles stay bounded.
+
+use super::receivers::{Part, ReceiverMesh, Split};
+use super::rows::{Lighting, Row, Surroundings};
+use glam::Vec3;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Rounds of halving.
+const ROUNDS: usize = 6;
+/// Edges are not halved below this many pixels.
+const LEAST_PX: f32 = 4.0;
+
+/// Where to stop.
+pub(super) struct Limits<'a> {
+    /// Share of the irradiance by which a middle may differ from the mean of its ends.
+    pub tolerance: f64,
+    /// Receiver vertices.
+    pub vertices: usize,
+    /// Size of a pixel on each receiver patch, m, in the order of [`ReceiverMesh::patches`].
+    pub pixels: &'a [f32],
+}
+
+type Edge = (u32, u32);
+
+struct Middle {
+    row: Row,
+    /// How far it is from the mean of the ends, as a share of the irradiance.
+    off: f64,
+}
+
+/// Splits receivers and appends the rows of new vertices; `done` is called for each point that is gathered.
+pub(super) fn refine(
+    receivers: &mut ReceiverMesh,
+    rows: &mut Vec<Row>,
+    surroundings: &Surroundings,
+    lighting: &Lighting,
+    limits: &Limits,
+    done: &(impl Fn() + Sync),
+) {
+    let mut middles: BTreeMap<Edge, Middle> = BTreeMap::new();
+    for _ in 0..ROUNDS {
+        let edges = edges(receivers);
+        let long = |edge: &Edge, (_, _, patch): &(Vec3, f32, u32)| {
+            let px = receivers.patches.binary_search(patch).map_or(0.0, |i| limits.pixels[i]);
+            receivers.length(*edge) > LEAST_PX * px
+        };
+        let candidates = edges.iter().filter(|(e, around)| {
+            let [a, b] = [e.0, e.1].map(|v| &rows[v as usize]);
+            long(e, around) && !middles.contains_key(e) && uneven(a, b) > limits.tolerance
+        });
+        let candidates: Vec<Edge> = candidates.map(|(&e, _)| e).collect();
+        gather(receivers, rows, surroundings, lighting, &edges, &candidates, &mut middles, done);
+        let mut halved: Vec<Edge> = edges
+            .keys()
+            .copied()
+            .filter(|e| middles.get(e).is_some_and(|m| m.off > limits.tolerance))
+            .collect();
+        let off = |e: &Edge| middles[e].off * f64::from(receivers.length(*e));
+        halved.sort_by(|a, b| off(b).total_cmp(&off(a)).then(a.cmp(b)));
+        halved.truncate(limits.vertices.saturating_sub(receivers.positions.len()));
+        if halved.is_empty() {
+            break;
+        }
+        let halved = closed(receivers, halved);
+        let missing: Vec<Edge> = halved.iter().copied().filter(|e| !middles.contains_key(e)).collect();
+        gather(receivers, rows, surroundings, lighting, &edges, &missing, &mut middles, done);
+        let mut vertex_of = BTreeMap::new();
+        for edge in halved {
+            if let Some(middle) = middles.remove(&edge) {
+                vertex_of.insert(edge, receivers.halve(edge));
+                rows.push(middle.row);
+            }
+        }
+        receivers.bisect(&vertex_of);
+    }
+}
+
+/// Gathers the middles of some edges.
+#[allow(clippy::too_many_arguments)] // one call in two places
+fn gather(
+    receivers: &ReceiverMesh,
+    rows: &[Row],
+    surroundings: &Surroundings,
+    lighting: &Lighting,
+    around: &BTreeMap<Edge, (Vec3, f32, u32)>,
+    edges: &[Edge],
+    middles: &mut BTreeMap<Edge, Middle>,
+    done: &(impl Fn() + Sync),
+) {
+    let points: Vec<_> = edges
+        .iter()
+        .map(|e| {
+            let (sum, count, patch) = around[e];
+            let normal = receivers.normals[e.0 as usize];
+            let group = surroundings.group(receivers, patch);
+            (group, surroundings.point(patch, receivers.middle(*e), normal, (sum, count)))
+        })
+        .collect();
+    for (&edge, row) in edges.iter().zip(surroundings.rows(lighting, &points, done)) {
+        let off = bent(&rows[edge.0 as usize], &row, &rows[edge.1 as usize]);
+        middles.insert(edge, Middle { row, off });
+    }
+}
+
+/// Edges of the triangles; sum and number of the centroids beside each, and a patch that it belongs to.
+fn edges(receivers: &ReceiverMesh) -> BTreeMap<Edge, (Vec3, f32, u32)> {
+    let mut edges = BTreeMap::new();
+    for t in &receivers.triangles {
+        let centroid = receivers.centroid(t);
+        for k in 0..3 {
+            let slot = edges.entry(edge(t.vertices, k)).or_insert((Vec3::ZERO, 0.0, t.patch));
+            *slot = (slot.0 + centroid, slot.1 + 1.0, slot.2);
+        }
+    }
+    edges
+}
+
+/// The edge from corner `k` of a triangle to the next, its lower vertex first.
+fn edge(vertices: [u32; 3], k: usize) -> Edge {
+    let (a, b) = (vertices[k], vertices[(k + 1) % 3]);
+    (a.min(b), a.max(b))
+}
+
+/// How differently clusters are hidden at two points, as a share of their irradiance.
+fn uneven(a: &Row, b: &Row) -> f64 {
+    let seen = |[sent, open]: [f32; 2]| if open > 0.0 { f64::from(sent / open) } else { 1.0 };
+    let both = || a.profile.iter().zip(&b.profile);
+    let change: f64 = both()
+        .filter(|(p, q)| p[1] > 0.0 && q[1] > 0.0)
+        .map(|(&p, &q)| (seen(p) - seen(q)).abs() * f64::from(p[1] + q[1]) / 2.0)
+        .sum();
+    let all: f64 = both().map(|(p, q)| f64::from(p[0] + q[0]) / 2.0).sum();
+    if all > 0.0 { change / all } else { 0.0 }
+}
+
+/// How far a middle is from the mean of two ends, as a share of the larger.
+fn bent(a: &Row, middle: &Row, b: &Row) -> f64 {
+    let sent = |r: &Row, k: usize| f64::from(r.profile[k][0]);
+    let clusters = 0..middle.profile.len();
+    let mean = |k: usize| (sent(a, k) + sent(b, k)) / 2.0;
+    let off: f64 = clusters.clone().map(|k| (sent(middle, k) - mean(k)).abs()).sum();
+    let all = clusters.clone().map(mean).sum::<f64>().max(clusters.map(|k| sent(middle, k)).sum());
+    if all > 0.0 { off / all } else { 0.0 }
+}
+
+/// Some edges, and the longest edges of all triangles that have one of them.
+fn closed(receivers: &ReceiverMesh, edges: Vec<Edge>) -> BTreeSet<Edge> {
+    let mut all: BTreeSet<Edge> = edges.into_iter().collect();
+    loop {
+        let before = all.len();
+        for t in &receivers.triangles {
+            if (0..3).any(|k| all.contains(&edge(t.vertices, k))) {
+                all.insert(edge(t.vertices, receivers.longest(t.vertices)));
+            }
+        }
+        if all.len() == before {
+            return all;
+        }
+    }
+}
+
+impl ReceiverMesh {
+    fn middle(&self, (a, b): Edge) -> Vec3 {
+        (self.positions[a as usize] + self.positions[b as usize]) / 2.0
+    }
+
+    fn length(&self, (a, b): Edge) -> f32 {
+        self.positions[a as usize].distance(self.positions[b as usize])
+    }
+
+    /// Corner at which the longest edge starts; of equal ones the same for both triangles beside it.
+    fn longest(&self, vertices: [u32; 3]) -> usize {
+        let key = |k: usize| (self.length(edge(vertices, k)), edge(vertices, k));
+        let longer = |a: &usize, b: &usize| {
+            let (x, y) = (key(*a), key(*b));
+            x.0.total_cmp(&y.0).then(x.1.cmp(&y.1))
+        };
+        (0..3).max_by(longer).unwrap_or(0)
+    }
+
+    /// Adds the vertex in the middle of an edge.
+    fn halve(&mut self, edge: Edge) -> u32 {
+        self.positions.push(self.middle(edge));
+        self.normals.push(self.normals[edge.0 as usize]);
+        self.positions.len() as u32 - 1
+    }
+
+    /// Bisects all triangles with halved edges, at the longest first. Of each such triangle the longest is halved.
+    fn bisect(&mut self, vertex_of: &BTreeMap<Edge, u32>) {
+        let mut next = 0;
+        while next < self.parts.len() {
+            let vertices = self.parts[next].vertices;
+            let halved = |k: usize| vertex_of.contains_key(&edge(vertices, k));
+            if self.parts[next].split.is_none() && (0..3).any(halved) {
+                let longest = self.longest(vertices);
+                let k =
+                    if halved(longest) { longest } else { (0..3).find(|&k| halved(k)).unwrap_or(longest) };
+                let middle = vertex_of[&edge(vertices, k)];
+                let (mut low, mut high) = (vertices, vertices);
+                low[(k + 1) % 3] = middle;
+                high[k] = middle;
+                self.parts[next].split = Some(Split { edge: k as u8, first: self.parts.len() as u32 });
+                self.parts.extend([low, high].map(|vertices| Part { vertices, split: None }));
+            }
+            next += 1;
+        }
+        self.list_triangles();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// A square grid of n × n × 2 triangles.
+    fn grid(n: u32) -> ReceiverMesh {
+        let at = |i: u32, j: u32| i * (n + 1) + j;
+        let quads = (0..n).flat_map(|i| (0..n).map(move |j| (i, j)));
+        let triangles = quads.flat_map(|(i, j)| {
+            [[at(i, j), at(i, j + 1), at(i + 1, j + 1)], [at(i, j), at(i + 1, j + 1), at(i + 1, j)]]
+        });
+        let parts: Vec<Part> = triangles.map(|vertices| Part { vertices, split: None }).collect();
+        let mut mesh = ReceiverMesh {
+            positions: (0..=n)
+                .flat_map(|i| (0..=n).map(move |j| Vec3::new(i as f32, 0.0, j as f32)))
+                .collect(),
+            normals: vec![Vec3::Y; ((n + 1) * (n + 1)) as usize],
+            triangles: Vec::new(),
+            patches: (0..parts.len() as u32).collect(),
+            parts,
+        };
+        mesh.list_triangles();
+        mesh
+    }
+
+    proptest! {
+        #[test]
+        fn split_meshes_conform_and_locate_every_point(
+            picks in prop::collection::vec(prop::collection::vec(0usize..1000, 1..6), 1..5),
+            patch in 0u32..18, u in 0.0..1.0f32, v in 0.0..1.0f32,
+        ) {
+            let mut mesh = grid(3);
+            let flat = mesh.clone();
+            for round in picks {
+                let all: Vec<Edge> = edges(&mesh).into_keys().collect();
+                let chosen = round.iter().map(|&k| all[k % all.len()]).collect();
+                let vertex_of: BTreeMap<_, _> =
+                    closed(&mesh, chosen).into_iter().map(|e| (e, mesh.halve(e))).collect();
+                mesh.bisect(&vertex_of);
+            }
+            // No vertex lies within an edge, and the area stays.
+            let edges = edges(&mesh);
+            for (&(a, b), &(_, beside, _)) in &edges {
+                let [p, q] = [a, b].map(|v| mesh.positions[v as usize]);
+                for &r in &mesh.positions {
+                    let inside = (r.distance(p) + r.distance(q) - p.distance(q)).abs() < 1e-5;
+                    prop_assert!(!inside || r.distance(p) < 1e-5 || r.distance(q) < 1e-5, "T-junction at {}", r);
+                }
+                prop_assert!(beside <= 2.0);
+            }
+            let area = mesh.vertex_areas().iter().sum::<f64>();
+            prop_assert!((area - 9.0).abs() < 1e-4);
+            let (u, v) = if u + v > 1.0 { (1.0 - u, 1.0 - v) } else { (u, v) };
+            let weights = [1.0 - u - v, u, v];
+            let place = |m: &ReceiverMesh| {
+                let (vertices, w) = m.locate(patch, weights).unwrap();
+                assert!(w.iter().all(|&w| w >= -1e-5) && (w.iter().sum::<f32>() - 1.0).abs() < 1e-5);
+                (0..3).map(|k| m.positions[vertices[k] as usize] * w[k]).sum::<Vec3>()
+            };
+            prop_assert!(place(&mesh).distance(place(&flat)) < 1e-5);
+        }
+    }
+
+    #[test]
+    fn only_patches_of_the_receivers_are_located() {
+        assert!(grid(1).locate(7, [1.0, 0.0, 0.0]).is_none());
+    }
+
+    #[test]
+    fn what_is_linear_is_not_bent() {
+        let row = |a: f32, b: f32| Row { profile: vec![[a, 2.0], [b, 1.0]], ..Default::default() };
+        assert_eq!(bent(&row(1.0, 1.0), &row(1.5, 0.5), &row(2.0, 0.0)), 0.0);
+        assert!((bent(&row(1.0, 1.0), &row(2.0, 0.5), &row(2.0, 0.0)) - 0.2).abs() < 1e-6);
+        assert_eq!(uneven(&row(1.0, 1.0), &row(1.0, 1.0)), 0.0);
+        assert!((uneven(&row(2.0, 1.0), &row(0.0, 1.0)) - 1.0).abs() < 1e-6);
+    }
+}

@@ -1,0 +1,241 @@
+//! All light at receiver points: the cut of the source set's tree, and how much the rest adds.
+
+use super::blockers::{Blockers, Sides};
+use super::gather::{Fineness, Gatherer, LightField, OFFSET_M, Point, Sent};
+use super::links::{Cutter, Entry};
+use super::lobe::Lobe;
+use super::octree::ReceiverTree;
+use super::receivers::ReceiverMesh;
+use super::sets;
+use super::{SourceTree, tree::LightTree};
+use crate::illuminate::patch::PatchMesh;
+use crate::image::luminance;
+use crate::model::face::Gloss;
+use crate::visibility::Bvh;
+use glam::Vec3;
+use rayon::prelude::*;
+
+/// Vertices move towards the middle of their triangles by this share of the distance, so that one on the border of a
+/// face looks past the wall that adjoins there.
+const INSET: f32 = 0.02;
+/// Receiver patches that ask together what may stand between them and the lights.
+const GROUP_PATCHES: usize = 32;
+/// Groups whose results are held before they are summed.
+const BATCH: usize = 64;
+
+/// Lights, and where they lie to the scene's planes.
+pub(super) struct Field {
+    pub lights: LightField,
+    sides: Sides,
+}
+
+/// What the receivers mirror to the plate's camera.
+#[derive(Debug, Clone, Copy)]
+pub struct Finish<'a> {
+    /// Centre of the plate's camera, m.
+    pub eye: Vec3,
+    /// By face of the scene.
+    pub gloss: &'a [Option<Gloss>],
+}
+
+/// The static scene around the receivers.
+pub(super) struct Surroundings<'a> {
+    mesh: &'a PatchMesh,
+    finish: Option<Finish<'a>>,
+    blockers: Blockers,
+    gatherer: Gatherer<'a>,
+    /// Group of each receiver patch, in the order of [`ReceiverMesh::patches`].
+    group_of: Vec<u32>,
+}
+
+/// What a receiver vertex gets.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Row {
+    pub cut: Vec<Entry>,
+    /// From all lights, plate units.
+    pub irradiance: [f32; 3],
+    /// Share that comes from outside the source set.
+    pub left_out: f64,
+    /// Luminance that each of some clusters sends, and would send with nothing between.
+    pub profile: Vec<[f32; 2]>,
+}
+
+/// The source set and the rest.
+pub(super) struct Lighting<'a> {
+    pub set: &'a Field,
+    pub rest: &'a Field,
+    pub tree: &'a SourceTree,
+    /// First leaf of each cluster of the profiles.
+    pub profile: &'a [u32],
+    pub tolerance: f64,
+}
+
+impl<'a> Surroundings<'a> {
+    pub fn new(
+        mesh: &'a PatchMesh,
+        finish: Option<Finish<'a>>,
+        receivers: &ReceiverMesh,
+        bvh: &'a Bvh,
+        rays: u32,
+    ) -> Self {
+        let octree = ReceiverTree::build(receivers, GROUP_PATCHES);
+        let mut group_of = vec![0; receivers.patches.len()];
+        for (node, group) in octree.nodes.iter().zip(0..).filter(|(n, _)| n.children.is_empty()) {
+            let members = &octree.order[node.patches.start as usize..node.patches.end as usize];
+            members.iter().for_each(|&i| group_of[i as usize] = group);
+        }
+        Self { mesh, finish, blockers: Blockers::new(mesh), gatherer: Gatherer { bvh, rays }, group_of }
+    }
+
+    pub fn field(&self, lights: LightField) -> Field {
+        Field { sides: self.blockers.sides(&lights), lights }
+    }
+
+    /// Group of a patch.
+    pub fn group(&self, receivers: &ReceiverMesh, patch: u32) -> u32 {
+        receivers.patches.binary_search(&patch).map_or(0, |i| self.group_of[i])
+    }
+
+    /// A point of a patch as rays see it; the centroids of the receiver triangles around it are given as sum and number.
+    pub fn point(&self, patch: u32, position: Vec3, normal: Vec3, (sum, count): (Vec3, f32)) -> Point {
+        let inset = (sum / count - position) * INSET;
+        let patch = &self.mesh.patches[patch as usize];
+        let gloss = self.finish.and_then(|f| Some((f.eye, f.gloss.get(patch.face as usize)?.as_ref()?)));
+        let lobe = gloss.and_then(|(eye, g)| Lobe::new(g, patch.reflectance, position, normal, eye));
+        Point { position: position + inset + normal * OFFSET_M, normal, lobe }
+    }
+
+    /// Points by group, each with its index.
+    fn by_group(points: &[(u32, Point)]) -> Vec<Vec<usize>> {
+        let mut order: Vec<usize> = (0..points.len()).collect();
+        order.sort_by_key(|&i| points[i].0);
+        order.chunk_by(|&a, &b| points[a].0 == points[b].0).map(<[usize]>::to_vec).collect()
+    }
+
+    /// What each light of a field (in the order of its leaves) sends to all points together: luminance × weight.
+    pub fn received(
+        &self,
+        field: &Field,
+        points: &[(u32, Point)],
+        weights: &[f64],
+        tolerance: f64,
+    ) -> Vec<f64> {
+        let mut received = vec![0.0; field.lights.lights.len()];
+        for groups in Self::by_group(points).chunks(BATCH) {
+            let parts: Vec<Vec<(usize, f64)>> = groups
+                .par_iter()
+                .map(|group| {
+                    let places: Vec<Vec3> = group.iter().map(|&i| points[i].1.position).collect();
+                    let free = self.blockers.free(&field.lights, &field.sides, &places);
+                    let (mut sent, mut part) = (Vec::new(), Vec::new());
+                    for &i in group {
+                        let point = &points[i].1;
+                        let about = self.gatherer.about(&field.lights, &free, point, &mut sent);
+                        let fineness = Fineness { most: tolerance * about, coarse: false };
+                        self.gatherer.cut(&field.lights, &free, point, fineness, &mut sent);
+                        sets::by_light(&field.lights, &sent, |leaf, e| part.push((leaf, e * weights[i])));
+                    }
+                    part
+                })
+                .collect();
+            parts.iter().flatten().for_each(|&(leaf, e)| received[leaf] += e);
+        }
+        received
+    }
+
+    /// The rows of some points; `done` is called for each.
+    pub fn rows(&self, lighting: &Lighting, points: &[(u32, Point)], done: &(impl Fn() + Sync)) -> Vec<Row> {
+        let parts: Vec<Vec<(usize, Row)>> = Self::by_group(points)
+            .par_iter()
+            .map(|group| {
+                let places: Vec<Vec3> = group.iter().map(|&i| points[i].1.position).collect();
+                let free =
+                    [lighting.set, lighting.rest].map(|f| self.blockers.free(&f.lights, &f.sides, &places));
+                let mut sent = [Vec::new(), Vec::new()];
+                group
+                    .iter()
+                    .map(|&i| {
+                        let row = self.row(lighting, &points[i].1, &free, &mut sent);
+                        done();
+                        (i, row)
+                    })
+                    .collect()
+            })
+            .collect();
+        let mut rows = vec![Row::default(); points.len()];
+        parts.into_iter().flatten().for_each(|(i, row)| rows[i] = row);
+        rows
+    }
+
+    fn row(&self, lighting: &Lighting, p: &Point, free: &[Vec<bool>; 2], sent: &mut [Vec<Sent>; 2]) -> Row {
+        let fields = [lighting.set, lighting.rest];
+        let mut about = 0.0;
+        if lighting.tolerance > 0.0 {
+            for k in 0..2 {
+                about += self.gatherer.about(&fields[k].lights, &free[k], p, &mut sent[k]);
+            }
+        }
+        // How a far cluster's light parts may be wrong by twice what it sends.
+        let fineness = Fineness { most: lighting.tolerance / 2.0 * about, coarse: false };
+        let mut sums = [[0.0f64; 3]; 2];
+        for k in 0..2 {
+            self.gatherer.cut(&fields[k].lights, &free[k], p, fineness, &mut sent[k]);
+            for s in &sent[k] {
+                (0..3).for_each(|c| sums[k][c] += f64::from(s.irradiance[c]));
+            }
+        }
+        let irradiance = std::array::from_fn(|c| (sums[0][c] + sums[1][c]) as f32);
+        let bright = |e: [f64; 3]| f64::from(luminance(e.map(|c| c as f32)));
+        let total = f64::from(luminance(irradiance));
+        let fine: Vec<Entry> =
+            sent[0].iter().filter(|s| s.irradiance != [0.0; 3]).map(|s| (s.node, s.irradiance)).collect();
+        Row {
+            cut: Cutter { tree: lighting.tree, tolerance: lighting.tolerance }.coarsen(&fine, total),
+            irradiance,
+            left_out: if total > 0.0 { bright(sums[1]) / total } else { 0.0 },
+            profile: profile(&sent[0], &lighting.set.lights.tree, lighting.profile),
+        }
+    }
+}
+
+fn profile(sent: &[Sent], tree: &LightTree, first_leaves: &[u32]) -> Vec<[f32; 2]> {
+    let mut profile = vec![[0.0; 2]; first_leaves.len()];
+    for s in sent {
+        let start = tree.nodes[s.node as usize].leaves.start;
+        let cluster = &mut profile[first_leaves.partition_point(|&f| f <= start) - 1];
+        *cluster = [cluster[0] + luminance(s.irradiance), cluster[1] + s.open];
+    }
+    profile
+}
+
+/// First leaves of `count` clusters that together hold all sources: the strongest are parted first.
+pub(super) fn strong_clusters(tree: &SourceTree, count: usize) -> Vec<u32> {
+    let mut nodes = if tree.nodes.is_empty() { Vec::new() } else { vec![0u32] };
+    while nodes.len() < count {
+        let mean = |i: u32| tree.nodes[i as usize].mean;
+        let inner = (0..nodes.len()).filter(|&k| tree.nodes[nodes[k] as usize].children.is_some());
+        let Some(k) = inner.max_by(|&a, &b| mean(nodes[a]).total_cmp(&mean(nodes[b]))) else { break };
+        let Some(below) = tree.nodes[nodes.swap_remove(k) as usize].children else { break };
+        nodes.extend(below);
+    }
+    let mut first: Vec<u32> = nodes.iter().map(|&i| tree.nodes[i as usize].leaves.start).collect();
+    first.sort_unstable();
+    first
+}
+
+/// The vertices of receivers with their groups.
+pub(super) fn vertex_points(receivers: &ReceiverMesh, surroundings: &Surroundings) -> Vec<(u32, Point)> {
+    let mut around = vec![(Vec3::ZERO, 0.0f32); receivers.positions.len()];
+    let mut patches = vec![0; receivers.positions.len()];
+    for t in &receivers.triangles {
+        for v in t.vertices.map(|v| v as usize) {
+            around[v] = (around[v].0 + receivers.centroid(t), around[v].1 + 1.0);
+            patches[v] = t.patch;
+        }
+    }
+    let all = receivers.positions.iter().zip(&receivers.normals).zip(&around);
+    let point = |(&patch, ((&p, &n), &around)): (&u32, ((&Vec3, &Vec3), &(Vec3, f32)))| {
+        (surroundings.group(receivers, patch), surroundings.point(patch, p, n, around))
+    };
+    patches.iter().zip(all).map(point).collect()
+}
