@@ -3,9 +3,9 @@
 
 struct Frame {
     maps: u32,     // maps in this batch
-    pixels: u32,   // receiver pixels
     clusters: u32, // of sources: length of a row of transfers
-    padding: u32,
+    side: u32,     // of a layer of the atlas, texels
+    add: u32,      // 1: to what is blocked already; 0: this is the first batch
 }
 
 struct ShadowMap {
@@ -15,6 +15,7 @@ struct ShadowMap {
     offset: vec2<f32>,            // where in a pixel it is looked up, px from the centre
     weight: f32,                  // its share of its cluster's light
     cluster: u32,                 // column of transfers
-    size: u32,                    // side, texels, at most that of its layer
-    padding: array<u32, 3>,
+    corner: vec2<u32>,            // its first texel in the atlas
+    layer: u32,                   // of the atlas
+    size: u32,                    // side, texels
 }

@@ -43,7 +43,7 @@ enum Prepared<'a> {
 }
 
 impl Prepared<'_> {
-    fn removed_radiance(&self, occluder: &Occluder) -> Result<Removed, shadow::Problem> {
+    fn removed_radiance(&mut self, occluder: &Occluder) -> Result<Removed, shadow::Problem> {
         match self {
             Self::Cpu(method) => method.removed_radiance(occluder),
             Self::Gpu(method) => method.removed_radiance(occluder),
@@ -55,7 +55,7 @@ fn time(statics: &Static, workspace: &Workspace, backend: Backend, frames: usize
     let settings = &workspace.pipeline.render;
     let scene = statics.scene();
     let started = Instant::now();
-    let prepared = match backend {
+    let mut prepared = match backend {
         Backend::Cpu => RadianceTransfer::prepare(&scene, settings).map(|m| Prepared::Cpu(Box::new(m))),
         Backend::Gpu => gpu::RadianceTransfer::prepare(&scene, settings).map(|m| Prepared::Gpu(Box::new(m))),
     }

@@ -5,6 +5,7 @@
 mod breakdown;
 mod cost;
 mod frames;
+mod gpu;
 mod growth;
 mod intensity;
 mod ldr;
@@ -34,6 +35,8 @@ pub enum Table {
     Passes,
     /// What moving the object costs, on a synthetic lobby.
     Cost,
+    /// What a frame costs on the graphics processor, by its own clock, and how far it lies from the CPU's.
+    Gpu,
     /// How pre-processing grows with the number of patches.
     Growth,
     /// Error of intensity transfers (gibson, Figure 3), over all captures named, with a plot.
@@ -70,6 +73,7 @@ pub fn bench(
         match table {
             Table::Passes => passes::print(&settings, frames, pictures, printer)?,
             Table::Cost => cost::print(frames, printer)?,
+            Table::Gpu => gpu::print(&settings, frames, printer)?,
             Table::Growth => growth::print(pictures, printer)?,
             Table::Intensity => intensity::print(&ready(&settings, printer)?, pictures, printer)?,
             Table::Ldr => ldr::print(&ready(&settings, printer)?, pictures, printer)?,

@@ -24,7 +24,12 @@ pub(super) struct LobbyTransfers {
 impl LobbyTransfers {
     /// About so many patches, seen in `width` × 3/4 `width` px.
     pub fn new(patches: usize, width: u32) -> Result<Self> {
-        let lobby = Lobby::new(lobby_of(patches), width);
+        Self::seen_in(patches, [width, width * 3 / 4])
+    }
+
+    /// The same in a picture of any shape, px.
+    pub fn seen_in(patches: usize, size: [u32; 2]) -> Result<Self> {
+        let lobby = Lobby::seen_in(lobby_of(patches), size);
         let transfers = solve(&lobby.light, &lobby.receivers, &transfer_settings(), || {})
             .doing("finding the lobby's transfers")?;
         Ok(Self { lobby, transfers })

@@ -7,9 +7,9 @@ use bytemuck::{Pod, Zeroable};
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
 pub(crate) struct Frame {
     pub maps: u32,
-    pub pixels: u32,
     pub clusters: u32,
-    pub padding: u32,
+    pub side: u32,
+    pub add: u32,
 }
 
 /// `ShadowMap` of shadow_map_types.wgsl.
@@ -22,8 +22,9 @@ pub(crate) struct ShadowMap {
     pub offset: [f32; 2],
     pub weight: f32,
     pub cluster: u32,
+    pub corner: [u32; 2],
+    pub layer: u32,
     pub size: u32,
-    pub padding: [u32; 3],
 }
 
 /// `Receiver` of subtract_transfers.wgsl.
@@ -40,6 +41,31 @@ pub(crate) struct Receiver {
     pub padding_a: u32,
     pub down: [f32; 3],
     pub padding_b: u32,
+    pub plate: [f32; 3],
+    pub padding_c: u32,
+    pub irradiance: [f32; 3],
+    pub padding_d: u32,
+}
+
+/// `Tile` of subtract_transfers.wgsl.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+pub(crate) struct Tile {
+    pub centre: [f32; 3],
+    pub radius: f32,
+    pub first: u32,
+    pub count: u32,
+    pub padding: [u32; 2],
+}
+
+/// `Work` of lookup_ceiling.wgsl.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+pub(crate) struct Work {
+    pub lookups: u32,
+    pub side: u32,
+    pub layers: u32,
+    pub width: u32,
 }
 
 #[cfg(test)]
@@ -73,10 +99,10 @@ mod tests {
     #[test]
     fn structs_lie_as_the_shaders_read_them() {
         let module = &shaders::compose(shaders::SUBTRACT_TRANSFERS).unwrap().0;
-        same_layout!(module, Frame { maps, pixels, clusters, padding });
+        same_layout!(module, Frame { maps, clusters, side, add });
         same_layout!(
             module,
-            ShadowMap { map_from_world, planes, sides, offset, weight, cluster, size, padding }
+            ShadowMap { map_from_world, planes, sides, offset, weight, cluster, corner, layer, size }
         );
         same_layout!(
             module,
@@ -90,8 +116,17 @@ mod tests {
                 across,
                 padding_a,
                 down,
-                padding_b
+                padding_b,
+                plate,
+                padding_c,
+                irradiance,
+                padding_d
             }
         );
+        same_layout!(module, Tile { centre, radius, first, count, padding });
+        let module = &shaders::compose(shaders::SHADOW_MAP).unwrap().0;
+        same_layout!(module, Frame { maps, clusters, side, add });
+        let module = &shaders::compose(shaders::LOOKUP_CEILING).unwrap().0;
+        same_layout!(module, Work { lookups, side, layers, width });
     }
 }

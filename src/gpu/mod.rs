@@ -1,11 +1,22 @@
 //! Shadow maps on the graphics processor (wgpu). The plain Rust of [`crate::shadow`] is the reference.
 
+mod atlas;
+mod ceiling;
+mod clock;
+mod device;
 mod layout;
+mod parity;
 mod radiance_transfer;
+mod receivers;
 mod shaders;
+#[cfg(test)]
+mod tests;
 
 use crate::error;
-pub use radiance_transfer::RadianceTransfer;
+pub use clock::Phases;
+pub(crate) use device::Device;
+pub use parity::Difference;
+pub use radiance_transfer::{Budget, Drawn, RadianceTransfer, Timing};
 
 /// Why the graphics processor gives no result.
 #[derive(Debug, thiserror::Error)]
@@ -19,6 +30,32 @@ pub enum Problem {
         /// Name of the adapter.
         adapter: String,
         /// What went wrong.
+        problem: String,
+    },
+    /// A need beyond the device.
+    #[error("graphics adapter {adapter}: {what} needs {needed}, the limit is {limit}")]
+    Limit {
+        /// Name of the adapter.
+        adapter: String,
+        /// What is too large, with its unit.
+        what: &'static str,
+        /// How large it would be.
+        needed: u64,
+        /// How large it may be.
+        limit: u64,
+    },
+    /// No memory left on the device.
+    #[error("graphics adapter {adapter} is out of memory")]
+    OutOfMemory {
+        /// Name of the adapter.
+        adapter: String,
+    },
+    /// The device is gone: a crashed or reset driver, or hardware removed.
+    #[error("graphics adapter {adapter} is lost ({problem})")]
+    Lost {
+        /// Name of the adapter.
+        adapter: String,
+        /// What the driver says.
         problem: String,
     },
     /// A shader does not compile: a fault of insitu.
@@ -38,74 +75,13 @@ impl error::Problem for Problem {
                 "set render.backend = \"cpu\", or install a Vulkan driver (software: mesa-vulkan-drivers)"
                     .into()
             }
-            Self::Device { .. } => "set render.backend = \"cpu\", or a smaller render.shadow_map_px".into(),
+            Self::Device { .. } => "set render.backend = \"cpu\"".into(),
+            Self::Limit { .. } | Self::OutOfMemory { .. } => {
+                "set a smaller render.shadow_map_px or fewer render.passes, use a smaller plate, or set render.backend = \"cpu\""
+                    .into()
+            }
+            Self::Lost { .. } => "run again; if it happens again, set render.backend = \"cpu\"".into(),
             Self::Shader { .. } => "set render.backend = \"cpu\" and report this".into(),
-        }
-    }
-}
-
-/// An open device; clones share it.
-#[derive(Clone)]
-pub(crate) struct Device {
-    pub adapter: String,
-    pub device: wgpu::Device,
-    pub queue: wgpu::Queue,
-    pub limits: wgpu::Limits,
-}
-
-impl Device {
-    /// The fastest adapter; buffers as large as it allows.
-    pub fn open() -> Result<Self, Problem> {
-        // Vulkan, Metal, Direct3D 12 unless the environment (WGPU_BACKEND) names another.
-        let backends = wgpu::Backends::from_env().unwrap_or(wgpu::Backends::PRIMARY);
-        let descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
-        let instance = wgpu::Instance::new(wgpu::InstanceDescriptor { backends, ..descriptor });
-        let options = wgpu::RequestAdapterOptions {
-            power_preference: wgpu::PowerPreference::HighPerformance,
-            ..Default::default()
-        };
-        let adapter = pollster::block_on(instance.request_adapter(&options))
-            .map_err(|e| Problem::NoAdapter(e.to_string()))?;
-        let name = adapter.get_info().name;
-        let offered = adapter.limits();
-        let limits = wgpu::Limits {
-            max_buffer_size: offered.max_buffer_size,
-            max_storage_buffer_binding_size: offered.max_storage_buffer_binding_size,
-            ..wgpu::Limits::default()
-        };
-        let descriptor = wgpu::DeviceDescriptor {
-            label: Some("insitu"),
-            required_limits: limits.clone(),
-            ..Default::default()
-        };
-        let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))
-            .map_err(|e| Problem::Device { adapter: name.clone(), problem: e.to_string() })?;
-        Ok(Self { adapter: name, device, queue, limits })
-    }
-
-    /// A failure on this device.
-    pub fn problem(&self, problem: impl ToString) -> Problem {
-        Problem::Device { adapter: self.adapter.clone(), problem: problem.to_string() }
-    }
-
-    /// Catches the device's errors, which else would end the program.
-    pub fn watch(&self) -> Watch {
-        use wgpu::ErrorFilter::{Internal, OutOfMemory, Validation};
-        Watch([Validation, Internal, OutOfMemory].map(|filter| self.device.push_error_scope(filter)))
-    }
-}
-
-/// Errors since [`Device::watch`].
-pub(crate) struct Watch([wgpu::ErrorScopeGuard; 3]);
-
-impl Watch {
-    /// The innermost error as a problem.
-    pub fn none_on(self, device: &Device) -> Result<(), Problem> {
-        let [validation, internal, memory] = self.0;
-        let errors = [memory, internal, validation].map(|scope| pollster::block_on(scope.pop()));
-        match errors.into_iter().flatten().next() {
-            Some(e) => Err(device.problem(e)),
-            None => Ok(()),
         }
     }
 }

@@ -1,17 +1,44 @@
-//! Shadow maps from representative sources on the graphics processor: raster passes draw the maps of a batch, a compute
-//! pass adds what they block.
+//! Shadow maps from representative sources on the graphics processor: raster passes draw all maps into one array
+//! texture, one compute pass looks them up and leaves ε on the device.
 
-use super::layout::{Frame, Receiver, ShadowMap};
-use super::{Device, shaders};
+use super::atlas::{Atlas, Extent, Packing, Place};
+use super::clock::{Clock, Phase};
+use super::device::Buffer;
+use super::layout::{Frame, ShadowMap};
+use super::receivers::{Block, WORKGROUP};
+use super::{Device, Difference, Phases, ceiling, shaders};
 use crate::config::Render;
-use crate::shadow::{self, MapPlan, OFFSETS, Occluder, Outlook, Plan, Problem, Removed, Scene, batches};
+use crate::image::{Radiance, RadianceImage};
+use crate::shadow::{self, MapPlan, OFFSETS, Occluder, Outlook, Plan, Problem, Removed, Scene};
+use rayon::prelude::*;
+use std::ops::Range;
+use std::time::Instant;
 
-/// Bytes of shadow maps that are held at a time.
-const BATCH_BYTES: usize = 64 << 20;
-/// Invocations of a workgroup, as in subtract_transfers.wgsl.
-const WORKGROUP: usize = 64;
-/// Most maps in a batch, as in subtract_transfers.wgsl.
-const MOST_MAPS: usize = 1024;
+/// What a frame may take of the device; its limits hold besides.
+#[derive(Debug, Clone, Copy)]
+pub struct Budget {
+    /// Texels of shadow maps that are held at a time.
+    pub texels: usize,
+    /// Largest buffer, bytes.
+    pub buffer_bytes: u64,
+}
+
+impl Default for Budget {
+    fn default() -> Self {
+        Self { texels: 64 << 20, buffer_bytes: u64::MAX }
+    }
+}
+
+/// Times of a frame whose ε stays on the device, s.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Timing {
+    /// Until the device is done.
+    pub frame: f64,
+    /// Choosing clusters and gathering what they send, on the host.
+    pub plan: f64,
+    /// The rest.
+    pub phases: Phases,
+}
 
 /// The method with everything static on the device; only the object changes from frame to frame.
 pub struct RadianceTransfer<'a> {
@@ -20,102 +47,92 @@ pub struct RadianceTransfer<'a> {
     device: Device,
     draw: wgpu::RenderPipeline,
     subtract: wgpu::ComputePipeline,
-    pixels: Vec<PixelBlock>,
-    maps: wgpu::Buffer,
-    texture: wgpu::Texture,
-    depths: wgpu::TextureView,
-    layers: Vec<wgpu::TextureView>,
+    blocks: Vec<(Block, wgpu::BindGroup)>,
+    atlas: Atlas,
+    buffers: Buffers,
+    groups: Groups,
+    /// Triangles on the device.
+    triangles: Vec<[u32; 3]>,
 }
 
-/// The occluder on the device.
-struct Mesh {
-    vertices: wgpu::Buffer,
-    indices: wgpu::Buffer,
-    index_count: u32,
+/// A frame whose ε is on the device.
+pub struct Drawn<'m, 'a> {
+    method: &'m RadianceTransfer<'a>,
+    plan: Plan,
 }
 
-/// Receiver pixels within the device's limits.
-struct PixelBlock {
-    receivers: wgpu::Buffer,
-    /// Centre and radius of what each workgroup's pixels see, m.
-    spheres: wgpu::Buffer,
-    blocked: wgpu::Buffer,
-    count: usize,
+/// What is uploaded for each frame.
+struct Buffers {
+    vertices: Buffer,
+    indices: Buffer,
+    frame: Buffer,
+    maps: Buffer,
+    order: Buffer,
+    rows: Buffer,
+    transfers: Buffer,
+}
+
+/// Bindings of [`Buffers`] and the atlas; made anew where one of them grows.
+struct Groups {
+    draw: wgpu::BindGroup,
+    subtract: wgpu::BindGroup,
+}
+
+/// Maps that are drawn and looked up together.
+struct Batch {
+    maps: Range<usize>,
+    places: Vec<Place>,
+    layers: usize,
+}
+
+/// What the host knows of a frame before it writes to the device.
+struct Work {
+    /// All maps.
+    plan: Plan,
+    /// Those that are drawn.
+    drawn: Plan,
+    /// Receiver vertices that take part.
+    vertices: Vec<u32>,
+    /// Tiles that may change, ascending.
+    affected: Vec<u32>,
+    batches: Vec<Batch>,
+    /// By pixel, what rays to the origins that are too near for a map find blocked.
+    blocked: Option<Vec<[f32; 3]>>,
 }
 
 impl<'a> RadianceTransfer<'a> {
     /// Uploads everything that does not depend on the object.
     pub fn prepare(scene: &Scene<'a>, settings: &Render) -> Result<Self, Problem> {
+        Self::prepare_within(scene, settings, Budget::default())
+    }
+
+    /// The same with less of the device.
+    pub fn prepare_within(scene: &Scene<'a>, settings: &Render, budget: Budget) -> Result<Self, Problem> {
         let plain = shadow::RadianceTransfer::prepare(scene, settings)?;
-        let device = Device::open()?;
-        let errors = device.watch();
-        let prepared = Self::upload(plain, device.clone(), settings);
-        errors.none_on(&device)?;
-        prepared
+        let device = Device::open(budget.buffer_bytes)?;
+        let invocations = device.limits.max_compute_invocations_per_workgroup;
+        device.allows("a workgroup, invocations,", WORKGROUP as u64, u64::from(invocations))?;
+        let extent = Extent::new(&device, plain.map_px(), budget.texels)?;
+        let (draw, subtract) =
+            (draw_pipeline(&device)?, device.kernel(shaders::SUBTRACT_TRANSFERS, "subtract")?);
+        let layout = subtract.get_bind_group_layout(1);
+        let blocks = Block::all(&device, plain.prepared(), plain.plate())?;
+        let atlas = Atlas::new(&device, extent, 1);
+        let buffers = Buffers::new(&device);
+        let groups = Groups::new(&device, &draw, &subtract, &buffers, &atlas);
+        let blocks = blocks.into_iter().map(|b| (b.bind(&device, &layout), b)).map(|(g, b)| (b, g)).collect();
+        device.wait()?;
+        Ok(Self { plain, device, draw, subtract, blocks, atlas, buffers, groups, triangles: Vec::new() })
     }
 
-    fn upload(
-        plain: shadow::RadianceTransfer<'a>,
-        device: Device,
-        settings: &Render,
-    ) -> Result<Self, Problem> {
-        let most = device.limits.max_storage_buffer_binding_size.min(device.limits.max_buffer_size) as usize;
-        let storage = wgpu::BufferUsages::STORAGE;
-
-        let per_block = (most / size_of::<Receiver>()).min(65_535 * WORKGROUP);
-        let pixels =
-            plain.pixels().chunks(per_block).map(|pixels| PixelBlock::new(&device, pixels)).collect();
-
-        let size = settings.shadow_map_px;
-        let batch = (BATCH_BYTES / (4 * size * size))
-            .clamp(1, MOST_MAPS.min(device.limits.max_texture_array_layers as usize));
-        let texture = device.device.create_texture(&wgpu::TextureDescriptor {
-            label: Some("shadow maps"),
-            size: wgpu::Extent3d {
-                width: size as u32,
-                height: size as u32,
-                depth_or_array_layers: batch as u32,
-            },
-            mip_level_count: 1,
-            sample_count: 1,
-            dimension: wgpu::TextureDimension::D2,
-            format: wgpu::TextureFormat::Depth32Float,
-            usage: wgpu::TextureUsages::RENDER_ATTACHMENT
-                | wgpu::TextureUsages::TEXTURE_BINDING
-                | wgpu::TextureUsages::COPY_SRC,
-            view_formats: &[],
-        });
-        let layer = |i: usize| wgpu::TextureViewDescriptor {
-            dimension: Some(wgpu::TextureViewDimension::D2),
-            base_array_layer: i as u32,
-            array_layer_count: Some(1),
-            ..Default::default()
-        };
-        let maps = device.device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("map parameters"),
-            size: (batch * size_of::<ShadowMap>()) as u64,
-            usage: storage | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
-        Ok(Self {
-            draw: draw_pipeline(&device)?,
-            subtract: subtract_pipeline(&device)?,
-            layers: (0..batch).map(|i| texture.create_view(&layer(i))).collect(),
-            depths: texture.create_view(&wgpu::TextureViewDescriptor {
-                dimension: Some(wgpu::TextureViewDimension::D2Array),
-                ..Default::default()
-            }),
-            texture,
-            plain,
-            device,
-            pixels,
-            maps,
-        })
-    }
-
-    /// Name of the adapter.
+    /// Name of the adapter, and what it is.
     pub fn adapter(&self) -> &str {
         &self.device.adapter
+    }
+
+    /// Whether [`Self::timed`] asks the device's own clock.
+    pub fn has_timestamps(&self) -> bool {
+        self.device.device.features().contains(wgpu::Features::TIMESTAMP_QUERY)
     }
 
     /// The same method in plain Rust.
@@ -124,279 +141,379 @@ impl<'a> RadianceTransfer<'a> {
     }
 
     /// ε for an object.
-    pub fn removed_radiance(&self, occluder: &Occluder) -> Result<Removed, Problem> {
+    pub fn removed_radiance(&mut self, occluder: &Occluder) -> Result<Removed, Problem> {
         occluder.check()?;
-        self.compose(occluder, &self.plain.outlook(occluder), self.plain.passes())
+        let outlook = self.plain.outlook(occluder);
+        self.advance(occluder, &outlook, self.plain.passes())?.read()
     }
 
-    /// ε with so many passes.
-    pub(crate) fn compose(
-        &self,
+    /// Starts a frame with so many passes; its ε stays on the device until it is read.
+    pub(crate) fn advance(
+        &mut self,
         occluder: &Occluder,
         outlook: &Outlook,
         passes: usize,
-    ) -> Result<Removed, Problem> {
-        let mut plan = self.plain.plan(outlook, passes);
-        let (maps, rays): (Vec<_>, Vec<_>) = plan.maps.iter().copied().partition(|p| p.projection.is_some());
-        let errors = self.device.watch();
-        let mesh = self.device.mesh(occluder);
-        let mut encoder = self.device.device.create_command_encoder(&Default::default());
-        self.pixels.iter().for_each(|block| encoder.clear_buffer(&block.blocked, 0, None));
-        self.device.queue.submit([encoder.finish()]);
-        plan.maps = maps;
-        for batch in batches(&plan.maps) {
-            self.add(&plan, &plan.maps[batch.clone()], batch, &mesh);
-        }
-        let blocked = self.read_blocked();
-        errors.none_on(&self.device)?;
-        let (mut blocked, shadow_maps) = (blocked?, plan.maps.len() + rays.len());
-        plan.maps = rays;
-        self.plain.add(occluder, outlook, &plan, &mut blocked);
-        Ok(Removed { shadow_maps, ..self.plain.removed(&plan, &blocked) })
+    ) -> Result<Drawn<'_, 'a>, Problem> {
+        let work = self.work(occluder, outlook, passes);
+        let plan = self.run(occluder, work, None)?;
+        Ok(Drawn { method: self, plan })
     }
 
-    /// Draws some maps and adds what they block.
-    fn add(&self, plan: &Plan, maps: &[MapPlan], range: std::ops::Range<usize>, occluder: &Mesh) {
-        let vertices: Vec<u32> = (0..self.plain.vertex_count() as u32).collect();
-        let columns = self.plain.columns(plan, &vertices, range);
-        let clusters = columns.irradiance.dim().1;
-        let storage = wgpu::BufferUsages::STORAGE;
-        let contents = columns.irradiance.as_slice().unwrap_or(&[]);
-        let transfers = self.device.upload("transfers", bytemuck::cast_slice(contents), storage);
-        for plans in maps.chunks(self.layers.len()) {
+    /// A frame with so many passes, measured; its ε stays on the device.
+    pub fn timed(&mut self, occluder: &Occluder, passes: usize) -> Result<Timing, Problem> {
+        occluder.check()?;
+        self.device.wait()?;
+        let started = Instant::now();
+        let outlook = self.plain.outlook(occluder);
+        let work = self.work(occluder, &outlook, passes);
+        let mut clock = Clock::new(&self.device, work.batches.len());
+        let plan = started.elapsed().as_secs_f64();
+        self.run(occluder, work, Some(&mut clock))?;
+        self.device.wait()?;
+        let frame = started.elapsed().as_secs_f64();
+        Ok(Timing { frame, plan, phases: clock.read(&self.device)? })
+    }
+
+    /// Number of lookups of 2×2 texels that a frame with so many passes makes.
+    pub fn lookups(&self, occluder: &Occluder, passes: usize) -> Result<u64, Problem> {
+        occluder.check()?;
+        let outlook = self.plain.outlook(occluder);
+        let plan = self.plain.plan(&outlook, passes);
+        let lists = self.plain.maps_of_tiles(&plan.maps, outlook.patches());
+        let prepared = self.plain.prepared();
+        let inside = |map: &MapPlan, pixel: &shadow::Pixel| {
+            let Some(projection) = map.projection else { return false };
+            let q = projection.project(pixel.at(OFFSETS[map.offset]));
+            let p = q.truncate() / q.w - glam::Vec3::new(0.5, 0.5, 0.0);
+            let within = |t: f32| (0.0..(map.size - 1) as f32).contains(&t.floor());
+            q.w > 1e-6 && within(p.x) && within(p.y) && p.z > 0.0
+        };
+        let tiles = prepared.tiles.par_iter().zip(&lists).map(|(tile, maps)| {
+            let pixels = &prepared.pixels[tile.pixels.clone()];
+            let looks = |&m: &u32| pixels.iter().filter(|p| inside(&plan.maps[m as usize], p)).count() as u64;
+            maps.iter().map(looks).sum::<u64>()
+        });
+        Ok(tiles.sum())
+    }
+
+    /// Lookups of 2×2 texels each second that the device could make at best.
+    pub fn ceiling(&self) -> Result<f64, Problem> {
+        Ok(ceiling::lookups_per_second(&self.device, &self.atlas)?)
+    }
+
+    fn work(&self, occluder: &Occluder, outlook: &Outlook, passes: usize) -> Work {
+        let plan = self.plain.plan(outlook, passes);
+        let lists = self.plain.maps_of_tiles(&plan.maps, outlook.patches());
+        let vertices = self.plain.vertices_of(&lists);
+        let affected = (0..).zip(&lists).filter(|(_, maps)| !maps.is_empty()).map(|(tile, _)| tile).collect();
+        let (drawn, rays): (Vec<_>, Vec<_>) = plan.maps.iter().copied().partition(|p| p.projection.is_some());
+        let blocked = (!rays.is_empty()).then(|| {
+            let rays = Plan { maps: rays, ..plan.clone() };
+            let mut blocked = vec![[0.0; 3]; self.plain.prepared().pixels.len()];
+            self.plain.add(occluder, outlook, &rays, &mut blocked);
+            blocked
+        });
+        let drawn = Plan { maps: drawn, ..plan.clone() };
+        let batches = self.batches(&drawn.maps, vertices.len());
+        Work { plan, drawn, vertices, affected, batches, blocked }
+    }
+
+    /// As few as the atlas and the device's largest buffer allow; at least one.
+    fn batches(&self, maps: &[MapPlan], rows: usize) -> Vec<Batch> {
+        let most_clusters = (self.device.storage_bytes() as usize / (12 * rows.max(1))).max(1);
+        let most_maps = self.device.storage_bytes() as usize / size_of::<ShadowMap>();
+        let mut batches = Vec::new();
+        let mut at = 0;
+        loop {
+            let (start, mut packing, mut places) = (at, Packing::new(self.atlas.extent), Vec::new());
+            while let Some(map) = maps.get(at) {
+                let clusters = (map.cluster - maps[start].cluster) as usize + 1;
+                if places.len() == most_maps.max(1) || clusters > most_clusters {
+                    break;
+                }
+                let Some(place) = packing.place(map.size) else { break };
+                places.push(place);
+                at += 1;
+            }
+            batches.push(Batch { maps: start..at, places, layers: packing.layers() });
+            if at == maps.len() || at == start {
+                return batches;
+            }
+        }
+    }
+
+    fn run(
+        &mut self,
+        occluder: &Occluder,
+        work: Work,
+        mut clock: Option<&mut Clock>,
+    ) -> Result<Plan, Problem> {
+        for (i, batch) in work.batches.iter().enumerate() {
+            if let Some(clock) = clock.as_deref_mut() {
+                clock.start(&self.device, i)?;
+            }
             let mut encoder = self.device.device.create_command_encoder(&Default::default());
-            self.draw(plans, columns.first, occluder, &mut encoder);
-            for block in &self.pixels {
-                let frame = self.frame(plans.len(), block.count, clusters);
-                let buffers =
-                    [&frame, &self.maps, &block.receivers, &transfers, &block.blocked, &block.spheres];
-                let layout = self.subtract.get_bind_group_layout(0);
-                let group = self.device.bind(&layout, &buffers, Some(&self.depths));
-                let mut pass = encoder.begin_compute_pass(&Default::default());
-                pass.set_pipeline(&self.subtract);
-                pass.set_bind_group(0, &group, &[]);
-                pass.dispatch_workgroups(block.count.div_ceil(WORKGROUP) as u32, 1, 1);
+            if i == 0 {
+                self.begin(occluder, &work, &mut encoder)?;
+            }
+            let counts = self.upload(&work, batch, i > 0 || work.blocked.is_some())?;
+            if let Some(clock) = clock.as_deref_mut() {
+                clock.end(&self.device, Phase::Upload, &mut encoder)?;
+            }
+            self.draw_maps(&counts, occluder, clock.as_deref(), &mut encoder);
+            if let Some(clock) = clock.as_deref_mut() {
+                clock.end(&self.device, Phase::Maps, &mut encoder)?;
+            }
+            self.fuse(clock.as_deref(), &mut encoder);
+            if let Some(clock) = clock.as_deref_mut() {
+                clock.end(&self.device, Phase::Fused, &mut encoder)?;
             }
             self.device.queue.submit([encoder.finish()]);
+            self.device.check()?;
+        }
+        Ok(work.plan)
+    }
+
+    /// What a frame uploads once: the object, and where its shadow may fall.
+    fn begin(
+        &mut self,
+        occluder: &Occluder,
+        work: &Work,
+        encoder: &mut wgpu::CommandEncoder,
+    ) -> Result<(), Problem> {
+        self.upload_mesh(occluder)?;
+        for (block, _) in &mut self.blocks {
+            block.begin(&self.device, &work.affected, encoder);
+            if let Some(blocked) = &work.blocked {
+                block.block(&self.device, blocked);
+            }
+        }
+        Ok(())
+    }
+
+    fn upload_mesh(&mut self, occluder: &Occluder) -> Result<(), Problem> {
+        self.buffers.vertices.write(&self.device, bytemuck::cast_slice(&occluder.vertices))?;
+        if self.triangles != occluder.triangles {
+            self.buffers.indices.write(&self.device, bytemuck::cast_slice(&occluder.triangles))?;
+            self.triangles.clone_from(&occluder.triangles);
+        }
+        Ok(())
+    }
+
+    /// Uploads maps and transfers of a batch. Gives the number of maps in each layer.
+    fn upload(&mut self, work: &Work, batch: &Batch, add: bool) -> Result<Vec<u32>, Problem> {
+        let maps = &work.drawn.maps[batch.maps.clone()];
+        let (first, clusters) = if maps.is_empty() {
+            (0, 0)
+        } else {
+            let columns = self.plain.columns(&work.drawn, &work.vertices, batch.maps.clone());
+            let values = columns.irradiance.as_slice().unwrap_or(&[]);
+            let grown = [
+                self.buffers.rows.write(&self.device, bytemuck::cast_slice(&columns.row))?,
+                self.buffers.transfers.write(&self.device, bytemuck::cast_slice(values))?,
+            ];
+            self.rebind(grown.contains(&true));
+            (columns.first, columns.irradiance.dim().1 as u32)
+        };
+        let side = self.atlas.extent.side() as u32;
+        let frame = Frame { maps: maps.len() as u32, clusters, side, add: u32::from(add) };
+        self.buffers.frame.write(&self.device, bytemuck::bytes_of(&frame))?;
+        self.upload_maps(maps, batch, first)
+    }
+
+    fn upload_maps(&mut self, maps: &[MapPlan], batch: &Batch, first: u32) -> Result<Vec<u32>, Problem> {
+        let parameters = maps.iter().zip(&batch.places).filter_map(|(plan, place)| {
+            let projection = plan.projection?;
+            Some(ShadowMap {
+                map_from_world: projection.map_from_world.to_cols_array_2d(),
+                planes: projection.planes.to_cols_array_2d(),
+                sides: plan.sides.map(|s| s.to_array()),
+                offset: OFFSETS[plan.offset].to_array(),
+                weight: plan.weight,
+                cluster: plan.cluster - first,
+                corner: place.corner,
+                layer: place.layer,
+                size: plan.size as u32,
+            })
+        });
+        let parameters: Vec<ShadowMap> = parameters.collect();
+        let mut order: Vec<u32> = (0..parameters.len() as u32).collect();
+        order.sort_by_key(|&i| batch.places[i as usize].layer);
+        let mut counts = vec![0; batch.layers.max(1)];
+        batch.places.iter().for_each(|p| counts[p.layer as usize] += 1);
+        let grown = [
+            self.buffers.maps.write(&self.device, bytemuck::cast_slice(&parameters))?,
+            self.buffers.order.write(&self.device, bytemuck::cast_slice(&order))?,
+            self.atlas.reserve(&self.device, counts.len()),
+        ];
+        self.rebind(grown.contains(&true));
+        Ok(counts)
+    }
+
+    fn rebind(&mut self, grown: bool) {
+        if grown {
+            self.groups = Groups::new(&self.device, &self.draw, &self.subtract, &self.buffers, &self.atlas);
         }
     }
 
-    /// Draws at most as many maps as there are layers.
-    fn draw(
+    /// Draws the maps, each layer in one pass, all its maps in one call.
+    fn draw_maps(
         &self,
-        plans: &[MapPlan],
-        first_cluster: u32,
-        occluder: &Mesh,
+        counts: &[u32],
+        occluder: &Occluder,
+        clock: Option<&Clock>,
         encoder: &mut wgpu::CommandEncoder,
     ) {
-        let parameters: Vec<ShadowMap> = plans
-            .iter()
-            .filter_map(|plan| {
-                let projection = plan.projection?;
-                Some(ShadowMap {
-                    map_from_world: projection.map_from_world.to_cols_array_2d(),
-                    planes: projection.planes.to_cols_array_2d(),
-                    sides: plan.sides.map(|s| s.to_array()),
-                    offset: OFFSETS[plan.offset].to_array(),
-                    weight: plan.weight,
-                    cluster: plan.cluster - first_cluster,
-                    size: plan.size as u32,
-                    padding: [0; 3],
-                })
-            })
-            .collect();
-        self.device.queue.write_buffer(&self.maps, 0, bytemuck::cast_slice(&parameters));
-        let group = self.device.bind(&self.draw.get_bind_group_layout(0), &[&self.maps], None);
-        for (i, (layer, plan)) in self.layers.iter().zip(plans).enumerate() {
+        let mut from = 0;
+        for (i, (layer, count)) in self.atlas.layers.iter().zip(counts).enumerate() {
             let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
                 depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
                     view: layer,
                     depth_ops: Some(wgpu::Operations {
-                        load: wgpu::LoadOp::Clear(1.0),
+                        load: wgpu::LoadOp::Clear(shadow::EMPTY),
                         store: wgpu::StoreOp::Store,
                     }),
                     stencil_ops: None,
                 }),
+                timestamp_writes: clock.and_then(|c| c.maps(i == 0, i + 1 == counts.len())),
                 ..Default::default()
             });
             pass.set_pipeline(&self.draw);
-            pass.set_bind_group(0, &group, &[]);
-            pass.set_viewport(0.0, 0.0, plan.size as f32, plan.size as f32, 0.0, 1.0);
-            pass.set_vertex_buffer(0, occluder.vertices.slice(..));
-            pass.set_index_buffer(occluder.indices.slice(..), wgpu::IndexFormat::Uint32);
-            pass.draw_indexed(0..occluder.index_count, 0, i as u32..i as u32 + 1);
+            pass.set_bind_group(0, &self.groups.draw, &[]);
+            pass.set_vertex_buffer(0, self.buffers.vertices.get().slice(..));
+            pass.set_index_buffer(self.buffers.indices.get().slice(..), wgpu::IndexFormat::Uint32);
+            pass.draw_indexed(0..3 * occluder.triangles.len() as u32, 0, from..from + count);
+            from += count;
         }
     }
 
-    /// The shadow maps of an object, for those sources that are not too near for one.
-    pub fn shadow_maps(&self, occluder: &Occluder) -> Result<Vec<shadow::ShadowMap>, Problem> {
+    /// Looks the maps up at the tiles that they may shadow.
+    fn fuse(&self, clock: Option<&Clock>, encoder: &mut wgpu::CommandEncoder) {
+        let timestamp_writes = clock.and_then(Clock::fused);
+        let mut pass =
+            encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: None, timestamp_writes });
+        pass.set_pipeline(&self.subtract);
+        pass.set_bind_group(0, &self.groups.subtract, &[]);
+        for (block, group) in self.blocks.iter().filter(|(block, _)| block.count > 0) {
+            pass.set_bind_group(1, group, &[]);
+            pass.dispatch_workgroups(block.count, 1, 1);
+        }
+    }
+
+    /// The shadow maps of an object, for those origins that are not too near for one.
+    pub fn shadow_maps(&mut self, occluder: &Occluder) -> Result<Vec<shadow::ShadowMap>, Problem> {
         occluder.check()?;
-        let plan = self.plain.plan(&self.plain.outlook(occluder), self.plain.passes());
-        let plans: Vec<MapPlan> = plan.maps.iter().filter(|p| p.projection.is_some()).copied().collect();
-        let mesh = self.device.mesh(occluder);
-        let size = self.plain.map_px();
-        let bytes_per_row = (4 * size).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT as usize);
-        let mut maps = Vec::with_capacity(plans.len());
-        for batch in plans.chunks(self.layers.len()) {
-            let staging = self.device.staging((bytes_per_row * size * batch.len()) as u64);
+        let outlook = self.plain.outlook(occluder);
+        let work = self.work(occluder, &outlook, self.plain.passes());
+        let side = self.atlas.extent.side();
+        let row = (4 * side).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT as usize);
+        let mut maps = Vec::with_capacity(work.drawn.maps.len());
+        for batch in work.batches.iter().filter(|b| b.layers > 0) {
+            self.upload_mesh(occluder)?;
+            let counts = self.upload(&work, batch, false)?;
             let mut encoder = self.device.device.create_command_encoder(&Default::default());
-            self.draw(batch, 0, &mesh, &mut encoder);
+            self.draw_maps(&counts, occluder, None, &mut encoder);
+            let bytes = (row * side * batch.layers) as u64;
+            self.device.allows(
+                "shadow maps to be read, bytes,",
+                bytes,
+                self.device.limits.max_buffer_size,
+            )?;
+            let staging = self.device.staging(bytes);
             let layout = wgpu::TexelCopyBufferLayout {
                 offset: 0,
-                bytes_per_row: Some(bytes_per_row as u32),
-                rows_per_image: Some(size as u32),
+                bytes_per_row: Some(row as u32),
+                rows_per_image: Some(side as u32),
             };
             encoder.copy_texture_to_buffer(
-                self.texture.as_image_copy(),
+                self.atlas.texture.as_image_copy(),
                 wgpu::TexelCopyBufferInfo { buffer: &staging, layout },
-                wgpu::Extent3d { depth_or_array_layers: batch.len() as u32, ..self.texture.size() },
+                wgpu::Extent3d { depth_or_array_layers: batch.layers as u32, ..self.atlas.texture.size() },
             );
             self.device.queue.submit([encoder.finish()]);
             let values: Vec<f32> = self.device.read(&staging)?;
-            for (image, plan) in values.chunks(bytes_per_row / 4 * size).zip(batch) {
-                let size = plan.size;
-                let rows = image.chunks(bytes_per_row / 4).take(size);
-                let depth = rows.flat_map(|row| &row[..size]).copied().collect();
-                maps.extend(plan.projection.map(|projection| shadow::ShadowMap { projection, size, depth }));
+            for (plan, place) in work.drawn.maps[batch.maps.clone()].iter().zip(&batch.places) {
+                let Some(projection) = plan.projection else { continue };
+                let [x, y] = place.corner.map(|c| c as usize);
+                let lines = (0..plan.size).map(|line| (place.layer as usize * side + y + line) * row / 4 + x);
+                let depth = lines.flat_map(|at| &values[at..at + plan.size]).copied().collect();
+                maps.push(shadow::ShadowMap { projection, size: plan.size, depth });
             }
         }
         Ok(maps)
     }
 
-    fn frame(&self, maps: usize, pixels: usize, clusters: usize) -> wgpu::Buffer {
-        let frame = Frame { maps: maps as u32, pixels: pixels as u32, clusters: clusters as u32, padding: 0 };
-        self.device.upload("frame", bytemuck::bytes_of(&frame), wgpu::BufferUsages::UNIFORM)
+    /// ε with so many passes, and how far plain Rust lies from it.
+    pub fn parity(&mut self, occluder: &Occluder, passes: usize) -> Result<(Removed, Difference), Problem> {
+        occluder.check()?;
+        let outlook = self.plain.outlook(occluder);
+        let removed = self.advance(occluder, &outlook, passes)?.read()?;
+        let plain = self.plain.compose(occluder, &outlook, passes);
+        let difference = Difference::between(self.plain.plate(), &plain.epsilon, &removed.epsilon);
+        Ok((removed, difference))
     }
 
-    fn read_blocked(&self) -> Result<Vec<[f32; 3]>, super::Problem> {
-        let mut blocked = Vec::with_capacity(self.plain.pixels().len());
-        for block in &self.pixels {
-            let staging = self.device.staging((block.count * 16) as u64);
-            let mut encoder = self.device.device.create_command_encoder(&Default::default());
-            encoder.copy_buffer_to_buffer(&block.blocked, 0, &staging, 0, staging.size());
-            self.device.queue.submit([encoder.finish()]);
-            let values: Vec<[f32; 4]> = self.device.read(&staging)?;
-            blocked.extend(values.iter().map(|&[r, g, b, _]| [r, g, b]));
-        }
-        Ok(blocked)
+    /// Takes the device away, as a driver that is reset does.
+    #[cfg(test)]
+    pub(super) fn lose_device(&self) {
+        self.device.device.destroy();
     }
 }
 
-impl PixelBlock {
-    fn new(device: &Device, pixels: &[shadow::Pixel]) -> Self {
-        let receivers: Vec<Receiver> = pixels
-            .iter()
-            .map(|p| Receiver {
-                position: p.position.to_array(),
-                vertex_a: p.vertices[0],
-                normal: p.normal.to_array(),
-                vertex_b: p.vertices[1],
-                weights: p.weights,
-                vertex_c: p.vertices[2],
-                across: p.footprint[0].to_array(),
-                padding_a: 0,
-                down: p.footprint[1].to_array(),
-                padding_b: 0,
-            })
-            .collect();
-        let spheres: Vec<[f32; 4]> = pixels.chunks(WORKGROUP).map(sphere).collect();
-        let storage = wgpu::BufferUsages::STORAGE;
+impl Drawn<'_, '_> {
+    /// Waits for it and reads ε.
+    pub fn read(self) -> Result<Removed, Problem> {
+        let RadianceTransfer { plain, device, blocks, .. } = self.method;
+        let (width, height) = plain.plate().size();
+        let mut epsilon = vec![Radiance::default(); width * height];
+        for (block, _) in blocks {
+            let pixels = &plain.prepared().pixels[block.pixels()];
+            for (pixel, [r, g, b, _]) in pixels.iter().zip(block.read(device)?) {
+                epsilon[pixel.index as usize] = Radiance([r, g, b]);
+            }
+        }
+        Ok(plain.removed(&self.plan, RadianceImage::from_pixels(width, height, epsilon)))
+    }
+}
+
+impl Buffers {
+    fn new(device: &Device) -> Self {
+        use wgpu::BufferUsages as Usage;
         Self {
-            spheres: device.upload("spheres", bytemuck::cast_slice(&spheres), storage),
-            receivers: device.upload("receivers", bytemuck::cast_slice(&receivers), storage),
-            blocked: device.device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some("blocked irradiance"),
-                size: (pixels.len() * 16) as u64,
-                usage: storage | wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST,
-                mapped_at_creation: false,
-            }),
-            count: pixels.len(),
+            vertices: Buffer::new(device, "occluder, bytes,", Usage::VERTEX),
+            indices: Buffer::new(device, "occluder's triangles, bytes,", Usage::INDEX),
+            frame: Buffer::new(device, "frame", Usage::UNIFORM),
+            maps: Buffer::new(device, "parameters of maps, bytes,", Usage::STORAGE),
+            order: Buffer::new(device, "maps by layer, bytes,", Usage::STORAGE),
+            rows: Buffer::new(device, "rows of transfers, bytes,", Usage::STORAGE),
+            transfers: Buffer::new(device, "transfers, bytes,", Usage::STORAGE),
         }
     }
 }
 
-/// Around some pixels: centre and radius.
-fn sphere(pixels: &[shadow::Pixel]) -> [f32; 4] {
-    let (low, high) = pixels.iter().fold((glam::Vec3::INFINITY, glam::Vec3::NEG_INFINITY), |(a, b), p| {
-        (a.min(p.position), b.max(p.position))
-    });
-    let centre = (low + high) / 2.0;
-    let radius = pixels.iter().map(|p| p.position.distance(centre) + p.reach()).fold(0.0, f32::max);
-    centre.extend(radius).to_array()
-}
-
-impl Device {
-    fn upload(&self, label: &str, contents: &[u8], usage: wgpu::BufferUsages) -> wgpu::Buffer {
-        // Written, not mapped: a mapped buffer that could not be had panics.
-        let buffer = self.device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some(label),
-            size: (contents.len() as u64).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT).max(16),
-            usage: usage | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
-        self.queue.write_buffer(&buffer, 0, contents);
-        buffer
-    }
-
-    fn mesh(&self, occluder: &Occluder) -> Mesh {
-        let (vertices, triangles) =
-            (bytemuck::cast_slice(&occluder.vertices), bytemuck::cast_slice(&occluder.triangles));
-        Mesh {
-            vertices: self.upload("occluder", vertices, wgpu::BufferUsages::VERTEX),
-            indices: self.upload("occluder's triangles", triangles, wgpu::BufferUsages::INDEX),
-            index_count: occluder.triangles.len() as u32 * 3,
+impl Groups {
+    fn new(
+        device: &Device,
+        draw: &wgpu::RenderPipeline,
+        subtract: &wgpu::ComputePipeline,
+        buffers: &Buffers,
+        atlas: &Atlas,
+    ) -> Self {
+        let [frame, maps, order, rows, transfers] =
+            [&buffers.frame, &buffers.maps, &buffers.order, &buffers.rows, &buffers.transfers]
+                .map(|b| b.get().as_entire_binding());
+        let view = wgpu::BindingResource::TextureView(&atlas.view);
+        Self {
+            draw: device.bind(&draw.get_bind_group_layout(0), [frame.clone(), maps.clone(), order]),
+            subtract: device.bind(&subtract.get_bind_group_layout(0), [frame, maps, rows, transfers, view]),
         }
-    }
-
-    /// A buffer to read results from.
-    fn staging(&self, size: u64) -> wgpu::Buffer {
-        self.device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("for reading"),
-            size,
-            usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        })
-    }
-
-    /// Waits for the device and reads a staging buffer.
-    fn read<T: bytemuck::Pod>(&self, staging: &wgpu::Buffer) -> Result<Vec<T>, super::Problem> {
-        let (sender, receiver) = std::sync::mpsc::channel();
-        staging.map_async(wgpu::MapMode::Read, .., move |outcome| drop(sender.send(outcome)));
-        self.device.poll(wgpu::PollType::wait_indefinitely()).map_err(|e| self.problem(e))?;
-        let outcome = receiver.recv().map_err(|e| self.problem(e))?;
-        outcome.map_err(|e| self.problem(e))?;
-        let range = staging.get_mapped_range(..).map_err(|e| self.problem(e))?;
-        Ok(bytemuck::pod_collect_to_vec(&range))
-    }
-
-    /// Buffers at bindings 0, 1, …, then a texture.
-    fn bind(
-        &self,
-        layout: &wgpu::BindGroupLayout,
-        buffers: &[&wgpu::Buffer],
-        texture: Option<&wgpu::TextureView>,
-    ) -> wgpu::BindGroup {
-        let resources = buffers
-            .iter()
-            .map(|b| b.as_entire_binding())
-            .chain(texture.map(wgpu::BindingResource::TextureView));
-        let entries: Vec<_> = resources
-            .enumerate()
-            .map(|(i, resource)| wgpu::BindGroupEntry { binding: i as u32, resource })
-            .collect();
-        self.device.create_bind_group(&wgpu::BindGroupDescriptor { label: None, layout, entries: &entries })
-    }
-
-    fn shader(&self, shader: shaders::Shader) -> Result<wgpu::ShaderModule, super::Problem> {
-        let source = wgpu::ShaderSource::Wgsl(shaders::wgsl(shader)?.into());
-        Ok(self.device.create_shader_module(wgpu::ShaderModuleDescriptor { label: None, source }))
     }
 }
 
 fn draw_pipeline(device: &Device) -> Result<wgpu::RenderPipeline, super::Problem> {
     let module = device.shader(shaders::SHADOW_MAP)?;
-    Ok(device.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-        label: Some("draw shadow map"),
+    let pipeline = device.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+        label: Some("draw shadow maps"),
         layout: None,
         vertex: wgpu::VertexState {
             module: &module,
@@ -420,17 +537,7 @@ fn draw_pipeline(device: &Device) -> Result<wgpu::RenderPipeline, super::Problem
         fragment: None,
         multiview_mask: None,
         cache: None,
-    }))
-}
-
-fn subtract_pipeline(device: &Device) -> Result<wgpu::ComputePipeline, super::Problem> {
-    let module = device.shader(shaders::SUBTRACT_TRANSFERS)?;
-    Ok(device.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-        label: Some("subtract transfers"),
-        layout: None,
-        module: &module,
-        entry_point: Some("subtract"),
-        compilation_options: Default::default(),
-        cache: None,
-    }))
+    });
+    device.check()?;
+    Ok(pipeline)
 }

@@ -22,6 +22,8 @@ const TYPES: Shader = shader!("shadow_map_types.wgsl");
 pub(crate) const SHADOW_MAP: Shader = shader!("shadow_map.wgsl");
 /// Looks them up and sums what is blocked.
 pub(crate) const SUBTRACT_TRANSFERS: Shader = shader!("subtract_transfers.wgsl");
+/// Loads texels and does nothing else.
+pub(crate) const LOOKUP_CEILING: Shader = shader!("lookup_ceiling.wgsl");
 
 /// Resolves the imports and validates.
 pub(crate) fn compose(shader: Shader) -> Result<(naga::Module, naga::valid::ModuleInfo), Problem> {
@@ -61,7 +63,7 @@ mod tests {
 
     #[test]
     fn every_shader_is_valid() {
-        for shader in [SHADOW_MAP, SUBTRACT_TRANSFERS] {
+        for shader in [SHADOW_MAP, SUBTRACT_TRANSFERS, LOOKUP_CEILING] {
             let text = wgsl(shader).unwrap();
             assert!(naga::front::wgsl::parse_str(&text).is_ok(), "{}", shader.name);
         }
@@ -70,9 +72,8 @@ mod tests {
     #[test]
     fn constants_are_those_of_the_plain_reference() {
         let (module, _) = compose(SUBTRACT_TRANSFERS).unwrap();
-        for (name, value) in
-            [("DEPTH_BIAS", crate::shadow::DEPTH_BIAS), ("STEEPEST", crate::shadow::STEEPEST)]
-        {
+        use crate::shadow::{DEPTH_BIAS, EMPTY, STEEPEST};
+        for (name, value) in [("DEPTH_BIAS", DEPTH_BIAS), ("STEEPEST", STEEPEST), ("EMPTY", EMPTY)] {
             let (_, constant) =
                 module.constants.iter().find(|(_, c)| c.name.as_deref() == Some(name)).unwrap();
             let literal = &module.global_expressions[constant.init];

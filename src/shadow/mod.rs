@@ -31,14 +31,13 @@ pub use caster::Caster;
 pub(crate) use plan::{Outlook, Plan};
 pub use projection::{Bounds, MapPlan, OFFSETS, Projection, ShadowOrigin};
 pub use radiance_transfer::RadianceTransfer;
-pub(crate) use radiance_transfer::batches;
 #[cfg(test)]
 pub(crate) use raster::{DEPTH_BIAS, STEEPEST};
-pub use raster::{ShadowMap, rasterise};
+pub use raster::{EMPTY, ShadowMap, rasterise};
 pub use raytraced::raytraced;
 pub use receivers::{Receiver, Receivers};
 pub use session::{Frame, Session};
-pub(crate) use tiles::Pixel;
+pub(crate) use tiles::{Pixel, Prepared, TILE_PX};
 
 /// The synthetic object as light sees it, in the world.
 #[derive(Debug, Clone, Default, PartialEq)]

@@ -5,7 +5,7 @@ use super::lookup::{Cover, OnPlane, Pyramid};
 use super::plan::{Outlook, Plan};
 use super::projection::{MapPlan, OFFSETS, ShadowOrigin};
 use super::raster::{ShadowMap, rasterise};
-use super::tiles::{Pixel, Prepared, Tile, Vector};
+use super::tiles::{Prepared, Tile, Vector};
 use super::{Bounds, Occluder, Problem, Removed, Scene};
 use crate::config::Render;
 use crate::image::RadianceImage;
@@ -112,9 +112,11 @@ impl<'a> RadianceTransfer<'a> {
         let plan = self.plan(outlook, passes);
         let mut blocked = vec![[0.0f32; 3]; self.prepared.pixels.len()];
         self.add(occluder, outlook, &plan, &mut blocked);
-        let Some(ldr) = &self.ldr else { return self.removed(&plan, &blocked) };
+        let Some(ldr) = &self.ldr else {
+            return self.removed(&plan, self.prepared.epsilon(self.scene.plate, &blocked));
+        };
         let (codes, epsilon) = ldr.subtract(&self.prepared.pixels, &blocked);
-        Removed { codes: Some(codes), ..self.account(&plan, epsilon) }
+        Removed { codes: Some(codes), ..self.removed(&plan, epsilon) }
     }
 
     /// Adds the irradiance that is blocked; code values where those are subtracted.
@@ -173,15 +175,11 @@ impl<'a> RadianceTransfer<'a> {
             });
         }
         let blocked: Vec<_> = blocked.iter().map(|sum| sum.map(|c| c as f32)).collect();
-        Ok(self.removed(&plan, &blocked))
+        Ok(self.removed(&plan, self.prepared.epsilon(self.scene.plate, &blocked)))
     }
 
-    /// ε from the irradiance that is blocked.
-    pub(crate) fn removed(&self, plan: &Plan, blocked: &[[f32; 3]]) -> Removed {
-        self.account(plan, self.prepared.epsilon(self.scene.plate, blocked))
-    }
-
-    fn account(&self, plan: &Plan, epsilon: RadianceImage) -> Removed {
+    /// ε with what is to be said of it.
+    pub(crate) fn removed(&self, plan: &Plan, epsilon: RadianceImage) -> Removed {
         Removed {
             epsilon,
             codes: None,
@@ -194,9 +192,14 @@ impl<'a> RadianceTransfer<'a> {
         }
     }
 
-    /// Receiver pixels, in the order of what is blocked.
-    pub(crate) fn pixels(&self) -> &[Pixel] {
-        &self.prepared.pixels
+    /// The static side of a frame.
+    pub(crate) fn prepared(&self) -> &Prepared {
+        &self.prepared
+    }
+
+    /// The plate.
+    pub(crate) fn plate(&self) -> &'a RadianceImage {
+        self.scene.plate
     }
 
     /// Number of passes that the settings ask for.
@@ -225,7 +228,7 @@ impl<'a> RadianceTransfer<'a> {
     }
 
     /// For every tile the numbers of the maps that can shadow it, ascending.
-    fn maps_of_tiles(&self, maps: &[MapPlan], patches: &[u32]) -> Vec<Vec<u32>> {
+    pub(crate) fn maps_of_tiles(&self, maps: &[MapPlan], patches: &[u32]) -> Vec<Vec<u32>> {
         let receives = |tile: &Tile| tile.patches.iter().any(|p| patches.binary_search(p).is_ok());
         let blocks = self.prepared.blocks.par_iter().flat_map_iter(|block| {
             let near: Vec<u32> = (0..)
@@ -246,7 +249,7 @@ impl<'a> RadianceTransfer<'a> {
     }
 
     /// Receiver vertices of the tiles that may be shadowed, ascending.
-    fn vertices_of(&self, lists: &[Vec<u32>]) -> Vec<u32> {
+    pub(crate) fn vertices_of(&self, lists: &[Vec<u32>]) -> Vec<u32> {
         let mut used = vec![false; self.scene.transfers.receivers.positions.len()];
         for (tile, _) in self.prepared.tiles.iter().zip(lists).filter(|(_, maps)| !maps.is_empty()) {
             tile.vertices.iter().for_each(|&v| used[v as usize] = true);
@@ -348,7 +351,7 @@ impl<'a> RadianceTransfer<'a> {
 }
 
 /// Ranges of maps of whole clusters, few enough to be held.
-pub(crate) fn batches(maps: &[MapPlan]) -> Vec<Range<usize>> {
+fn batches(maps: &[MapPlan]) -> Vec<Range<usize>> {
     let (mut batches, mut start, mut texels, mut at) = (Vec::new(), 0, 0, 0);
     for cluster in maps.chunk_by(|a, b| a.cluster == b.cluster) {
         let more: usize = cluster.iter().map(|m| m.size * m.size).sum();

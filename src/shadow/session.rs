@@ -50,41 +50,42 @@ impl<'a> Session<'a> {
     /// as many as earlier frames say can be done in `frame_ms`. Where several of them are set, the smallest number holds.
     pub fn frame(&mut self, occluder: &Occluder) -> Result<Frame, Problem> {
         let started = Instant::now();
-        let removed = match &self.method {
-            Method::Raytraced => raytraced(&self.scene, occluder, &self.settings)?,
+        let Self { settings, pace, .. } = self;
+        let removed = match &mut self.method {
+            Method::Raytraced => raytraced(&self.scene, occluder, settings)?,
             Method::Cpu(method) => {
                 occluder.check()?;
                 let outlook = method.outlook(occluder);
-                let passes = self.passes(method, &outlook);
+                let passes = passes(settings, pace, method, &outlook);
                 let planned = started.elapsed().as_secs_f64();
                 let removed = method.compose(occluder, &outlook, passes);
-                self.pace.learn(planned, started.elapsed().as_secs_f64() - planned, removed.passes);
+                pace.learn(planned, started.elapsed().as_secs_f64() - planned, removed.passes);
                 removed
             }
             Method::Gpu(method) => {
                 occluder.check()?;
                 let outlook = method.plain().outlook(occluder);
-                let passes = self.passes(method.plain(), &outlook);
+                let passes = passes(settings, pace, method.plain(), &outlook);
                 let planned = started.elapsed().as_secs_f64();
-                let removed = method.compose(occluder, &outlook, passes)?;
-                self.pace.learn(planned, started.elapsed().as_secs_f64() - planned, removed.passes);
+                let removed = method.advance(occluder, &outlook, passes)?.read()?;
+                pace.learn(planned, started.elapsed().as_secs_f64() - planned, removed.passes);
                 removed
             }
         };
         Ok(Frame { removed, seconds: started.elapsed().as_secs_f64() })
     }
+}
 
-    fn passes(&self, method: &RadianceTransfer, outlook: &Outlook) -> usize {
-        let all = outlook.sources().max(1);
-        let mut passes = if self.settings.passes == 0 { all } else { self.settings.passes.min(all) };
-        if self.settings.max_error > 0.0 {
-            passes = fewest(passes, |n| method.expected_error(outlook, n) <= self.settings.max_error);
-        }
-        if self.settings.frame_ms > 0.0 {
-            passes = passes.min(self.pace.passes(self.settings.frame_ms * 1e-3));
-        }
-        passes
+fn passes(settings: &Render, pace: &Pace, method: &RadianceTransfer, outlook: &Outlook) -> usize {
+    let all = outlook.sources().max(1);
+    let mut passes = if settings.passes == 0 { all } else { settings.passes.min(all) };
+    if settings.max_error > 0.0 {
+        passes = fewest(passes, |n| method.expected_error(outlook, n) <= settings.max_error);
     }
+    if settings.frame_ms > 0.0 {
+        passes = passes.min(pace.passes(settings.frame_ms * 1e-3));
+    }
+    passes
 }
 
 /// The least n in `1..=most` that is enough, or `most`; whoever is enough stays it when n grows.

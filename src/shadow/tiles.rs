@@ -10,7 +10,7 @@ use std::ops::Range;
 use wide::f32x8;
 
 /// Side of a tile, px.
-const TILE_PX: usize = 16;
+pub(crate) const TILE_PX: usize = 16;
 /// Side of a block of tiles, px.
 const BLOCK_PX: usize = 64;
 /// Pixels of a vector.

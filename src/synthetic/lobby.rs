@@ -29,9 +29,14 @@ pub struct Lobby {
 impl Lobby {
     /// The lobby with patches of at most `edge` m, seen in `width` × 3/4 `width` px.
     pub fn new(edge: f32, width: u32) -> Self {
+        Self::seen_in(edge, [width, width * 3 / 4])
+    }
+
+    /// The same in a picture of any shape, px.
+    pub fn seen_in(edge: f32, [width, height]: [u32; 2]) -> Self {
         let light = lobby(edge);
         let focal = 0.85 * f64::from(width);
-        let camera = camera([2.6, 1.6, 3.6], [-0.6, 0.3, -0.4], width, width * 3 / 4, focal);
+        let camera = camera([2.6, 1.6, 3.6], [-0.6, 0.3, -0.4], width, height, focal);
         let receivers = Receivers::cast(&camera, &light.mesh);
         let plate = receivers.pixels.map(|r| {
             // Tiles, so that a wrong share of the plate shows as such.
