@@ -182,7 +182,7 @@ mod tests {
         let environment = Environment { map: Image::from_fn(16, 8, |_, _| Radiance([1.0; 3])) };
         let even = |_: Vec3, _: Vec3| [E0; 3];
         let lighting = Lighting::new(&even, &environment, object, 64, None);
-        let receivers = Receivers { pixels: Image::from_pixels(1, 1, vec![Some(receiver)]) };
+        let receivers = Receivers { pixels: Image::from_pixels(1, 1, vec![Some(receiver)]), seen: vec![0] };
         let plate = Image::from_pixels(1, 1, vec![Radiance([3.0; 3])]);
         let reflector = Reflector::new(object, &lighting, 1);
         let gained = reflector.onto(&receivers, &plate, scene, |_| Some([4.0; 3]), rays).pixels()[0].0;

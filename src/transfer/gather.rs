@@ -9,7 +9,7 @@ use super::boxes::Box3;
 use super::form_factor;
 use super::lights::{Light, Shape};
 use super::lobe::Lobe;
-use super::sampling::{Shift, in_cap, on_triangle};
+use super::sampling::{Shift, in_cap, on_triangle, towards_triangle};
 use super::tree::{Extent, LightTree};
 use crate::image::luminance;
 use crate::visibility::Bvh;
@@ -174,21 +174,35 @@ impl Gatherer<'_> {
             if open == [0.0; 3] {
                 continue;
             }
-            let visible = if free { 1.0 } else { self.visible(field, i, p) };
+            let rays = self.rays_for(f64::from(luminance(open)), fineness);
+            let visible = if free { 1.0 } else { self.visible(field, i, p, rays) };
             let sent = Sent { node: i, irradiance: open.map(|c| c * visible), open: luminance(open) };
             out.push(sent);
         }
     }
 
+    /// Few rays for what sends little: their noise is bounded by what is sent, and without bias.
+    fn rays_for(&self, sends: f64, fineness: Fineness) -> u32 {
+        if fineness.coarse {
+            self.rays.min(2)
+        } else if sends > fineness.most {
+            self.rays
+        } else if sends > fineness.most / 4.0 {
+            (self.rays / 2).max(1)
+        } else {
+            1
+        }
+    }
+
     /// Share of a node's light that reaches a point: a third of the rays first, the others only where those disagree.
-    fn visible(&self, field: &LightField, node: u32, p: &Point) -> f32 {
+    fn visible(&self, field: &LightField, node: u32, p: &Point, rays: u32) -> f32 {
         let leaves = &field.tree.nodes[node as usize].leaves;
         let shift = Shift::new(leaves_seed(&field.lights[leaves.start as usize]), p.seed());
-        let first = (self.rays / 3).max(2).min(self.rays);
+        let first = (rays / 3).max(2).min(rays);
         let (mut seen, mut all) = (0.0, 0.0);
         // Of a light that stands halfway up the horizon more points are tried until some are above.
-        for k in 0..self.rays.max(MOST_TRIES) {
-            if all > 0.0 && (k >= self.rays || k >= first && (seen == 0.0 || seen == all)) {
+        for k in 0..rays.max(MOST_TRIES) {
+            if all > 0.0 && (k >= rays || k >= first && (seen == 0.0 || seen == all)) {
                 break;
             }
             let one = leaves.len() == 1;
@@ -215,7 +229,7 @@ impl Gatherer<'_> {
         let shift = Shift::new(leaves_seed(light), p.seed());
         let (mut all, mut open, mut sent) = (0.0, [0.0; 3], [0.0; 3]);
         for k in 0..self.rays.max(MOST_TRIES) {
-            let (weight, direction, target) = sample(light, p, shift, k);
+            let (weight, direction, target) = near_sample(light, p, shift, k);
             if weight > 0.0 {
                 all += weight;
                 let visible = free || self.gets_through(p, target);
@@ -253,6 +267,24 @@ enum Target {
     /// m
     Place(Vec3),
     Direction(Vec3),
+}
+
+/// As [`sample`]; near patches by solid angle, since by area most of their light would come from few points.
+fn near_sample(light: &Light, p: &Point, shift: Shift, k: u32) -> (f32, Vec3, Target) {
+    let Shape::Patch { corners, normal } = light.shape else { return sample(light, p, shift, k) };
+    let relative = corners.map(|c| (c - p.position).as_dvec3());
+    let [a, b, c] = relative;
+    let size = (b - a).length().max((c - a).length());
+    let nearest = a.length().min(b.length()).min(c.length());
+    if size < 0.3 * nearest {
+        return sample(light, p, shift, k);
+    }
+    let Some(w) = towards_triangle(relative, shift.point(k)) else { return sample(light, p, shift, k) };
+    let (w, reach) = (w.as_vec3(), a.as_vec3().dot(normal));
+    let slope = w.dot(normal);
+    let weight = if slope < 0.0 { w.dot(p.normal).max(0.0) } else { 0.0 };
+    let y = p.position + w * (reach / slope.min(-1e-6));
+    (weight, w, Target::Place(y + normal * OFFSET_M))
 }
 
 /// A point of a light: its weight in the form factor, the unit direction to it, and where it is.

@@ -233,9 +233,10 @@ pub(super) fn vertex_points(receivers: &ReceiverMesh, surroundings: &Surrounding
             patches[v] = t.patch;
         }
     }
-    let all = receivers.positions.iter().zip(&receivers.normals).zip(&around);
-    let point = |(&patch, ((&p, &n), &around)): (&u32, ((&Vec3, &Vec3), &(Vec3, f32)))| {
-        (surroundings.group(receivers, patch), surroundings.point(patch, p, n, around))
+    let point = |v: usize| {
+        let (position, normal) = (receivers.positions[v], receivers.normals[v]);
+        let group = surroundings.group(receivers, patches[v]);
+        (group, surroundings.point(patches[v], position, normal, around[v]))
     };
-    patches.iter().zip(all).map(point).collect()
+    (0..receivers.positions.len()).map(point).collect()
 }

@@ -79,7 +79,7 @@ fn marks_that_appear_or_go_make_results_stale() {
 fn a_full_disk_leaves_earlier_results_whole() {
     for (stage, error) in [
         ("merge", "writing: ./work/.merge.part/plate.exr: File too large (os error 27)"),
-        ("transfer", "writing: ./work/.transfer.part/transfer.json: File too large (os error 27)"),
+        ("transfer", "writing: ./work/.transfer.part/sources.npy: File too large (os error 27)"),
         ("irradiance", "writing: ./work/.irradiance.part/irradiance.ply: File too large (os error 27)"),
         ("composite", "writing: ./work/.composite.part/augmented.exr: File too large (os error 27)"),
     ] {
