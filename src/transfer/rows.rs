@@ -1,7 +1,8 @@
 //! All light at receiver points: the cut of the source set's tree, and how much the rest adds.
 
 use super::blockers::{Blockers, Sides};
-use super::gather::{Fineness, Gatherer, LightField, OFFSET_M, Point, Sent};
+use super::field::{LightField, Point};
+use super::gather::{Fineness, Gatherer, OFFSET_M, Sent};
 use super::links::{Cutter, Entry};
 use super::lobe::Lobe;
 use super::octree::ReceiverTree;
