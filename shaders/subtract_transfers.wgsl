@@ -42,46 +42,32 @@ struct Tile {
 
 const DEPTH_BIAS: f32 = 5e-4;
 const STEEPEST: f32 = 16.0;
-const EMPTY: f32 = 1.0;
 
-// 2×2 percentage-closer filtering with the receiver plane's depth in each texel.
-fn mask(receiver: Receiver, map: u32) -> f32 {
+// Whether the occluder lies before the receiver's plane in the texel onto which the receiver falls.
+fn mask(receiver: Receiver, map: u32) -> bool {
     let offset = maps[map].offset;
     let position = receiver.position + receiver.across * offset.x + receiver.down * offset.y;
     let q = maps[map].map_from_world * vec4<f32>(position, 1.0);
     if q.w <= 1e-6 {
-        return 0.0;
+        return false;
     }
-    let p = q.xyz / q.w - vec3<f32>(0.5, 0.5, 0.0);
-    let first = floor(p.xy);
-    let last = f32(maps[map].size - 1u);
-    if first.x < 0.0 || first.y < 0.0 || first.x >= last || first.y >= last || p.z <= 0.0 {
-        return 0.0;
+    let p = q.xyz / q.w;
+    let size = f32(maps[map].size);
+    if p.x < 0.0 || p.y < 0.0 || p.x >= size || p.y >= size || p.z <= 0.0 {
+        return false;
     }
-    let texel = vec2<i32>(first) + vec2<i32>(maps[map].corner);
-    let layer = maps[map].layer;
-    let near = vec4<f32>(
-        textureLoad(atlas, texel, layer, 0),
-        textureLoad(atlas, texel + vec2<i32>(1, 0), layer, 0),
-        textureLoad(atlas, texel + vec2<i32>(0, 1), layer, 0),
-        textureLoad(atlas, texel + vec2<i32>(1, 1), layer, 0),
-    );
-    if all(near >= vec4<f32>(EMPTY)) {
-        return 0.0;
+    let texel = floor(p.xy);
+    let depth = textureLoad(atlas, vec2<i32>(texel) + vec2<i32>(maps[map].corner), maps[map].layer, 0);
+    if depth >= 1.0 {
+        return false;
     }
     let plane = maps[map].planes * vec4<f32>(receiver.normal, -dot(receiver.normal, position));
-    let limit = STEEPEST / f32(maps[map].size);
+    let limit = STEEPEST / size;
     var slope = vec2<f32>(0.0);
     if plane.z != 0.0 {
         slope = clamp(-plane.xy / plane.z, vec2<f32>(-limit), vec2<f32>(limit));
     }
-    let f = p.xy - first;
-    let corner = p.z - DEPTH_BIAS - slope.x * f.x - slope.y * f.y;
-    let depth = corner + vec4<f32>(0.0, slope.x, slope.y, slope.x + slope.y);
-    let hit = select(vec4<f32>(0.0), vec4<f32>(1.0), near < min(depth, vec4<f32>(EMPTY)));
-    let top = hit.x * (1.0 - f.x) + hit.y * f.x;
-    let bottom = hit.z * (1.0 - f.x) + hit.w * f.x;
-    return top * (1.0 - f.y) + bottom * f.y;
+    return depth < p.z + dot(slope, texel + 0.5 - p.xy) - DEPTH_BIAS;
 }
 
 // Whether a map can shadow anything in a sphere: `MapPlan::may_shadow`.
@@ -150,7 +136,7 @@ fn subtract(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_i
                     cluster = maps[map].cluster;
                     share = 0.0;
                 }
-                share += maps[map].weight * mask(receiver, map);
+                share += select(0.0, maps[map].weight, mask(receiver, map));
             }
         }
         workgroupBarrier();

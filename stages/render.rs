@@ -8,9 +8,9 @@ use insitu::error::{Context as _, Result};
 use insitu::exposure::{self, Capture, Photograph};
 use insitu::illuminate;
 use insitu::image::CodeImage;
-use insitu::irradiance::{Beams, Volume};
+use insitu::irradiance::Volume;
 use insitu::model::{Scene, face};
-use insitu::render::{self, Environment, Lighting, Object, Reflector, Shadowed};
+use insitu::render::{self, Object, Set, Shaded};
 use insitu::response::Response;
 use insitu::shadow::{self, Caster, Occluder, Receivers, Session};
 use insitu::stage::{Context, Input, digest_file};
@@ -67,50 +67,69 @@ fn main() -> std::process::ExitCode {
         }
 
         let started = Instant::now();
-        let [low, high] = object.bounds();
         let light_bvh = Bvh::new(&light.mesh.vertices, &light.mesh.triangles());
-        let width = settings.environment_px.max(8);
-        let environment = Environment::cast(&light, &light_bvh, (low + high) / 2.0, width, width / 2);
-        let beams = Beams::new(&light.distant, &light_bvh);
-        let irradiance = |position, normal| volume.irradiance_with(&beams, position, normal);
-        let shadowed = Shadowed { camera, plate: &plate, removed: &removed.epsilon, scene: &scene_bvh };
-        let lighting =
-            Lighting::new(&irradiance, &environment, &object, settings.shading_rays, Some(&shadowed));
-        let rendered =
-            render::render(&object, camera, &scene_bvh, &lighting, settings.antialiasing, settings.seed);
+        let set = Set {
+            camera,
+            plate: &plate,
+            light: &light,
+            light_bvh: &light_bvh,
+            volume: &volume,
+            scene_bvh: &scene_bvh,
+            receivers: &receivers,
+            transfers: &transfers,
+            settings,
+        };
+        let shaded = set.shade(&object, &removed.epsilon);
         ctx.figure("shade_s", started.elapsed().as_secs_f64());
+        let rendered = &shaded.rendered;
         ctx.figure("object_visible_px", rendered.visible_px);
         ctx.figure("object_hidden_px", rendered.hidden_px);
         if rendered.visible_px == 0.0 {
             ctx.warn("no pixel shows the object: the scene hides it");
         }
 
-        let started = Instant::now();
-        let reflected = Reflector::new(&object, &lighting, settings.seed).onto(
-            &receivers,
-            &plate,
-            &scene_bvh,
-            |receiver| transfers.irradiance_on(receiver),
-            settings.reflected_rays,
-        );
-        ctx.figure("reflect_s", started.elapsed().as_secs_f64());
-
         let seen = receivers.pixels.pixels().iter().map(|r| if r.is_some() { 1.0 } else { 0.0 }).collect();
         let (width, height) = plate.size();
         let mask = exr::Planes { width, height, channels: vec![("Y".into(), seen)] };
         exr::write(&ctx.output("receivers.exr"), &mask, exr::Kind::Picture)?;
-        exr::write_radiance(&ctx.output("removed.exr"), &removed.epsilon)?;
-        exr::write_radiance(&ctx.output("reflected.exr"), &reflected)?;
-        if let Some(codes) = &removed.codes {
-            write_png(&ctx.output("codes.png"), codes)?;
-        }
         exr::write(
             &ctx.output("environment.exr"),
-            &exr::Planes::from_radiance(&environment.map),
+            &exr::Planes::from_radiance(&shaded.environment.map),
             exr::Kind::LatLong,
         )?;
-        exr::write(&ctx.output("object.exr"), &rendered.layer.to_planes(), exr::Kind::Picture)
+        write_layers(ctx, "", &removed, &shaded)?;
+
+        let (mut shadow_ms, mut shade_ms, mut passes) = (Vec::new(), Vec::new(), Vec::new());
+        for (i, motion) in render::motions(settings).doing("placing the object")?.iter().enumerate() {
+            let what = || format!("rendering frame {i} of the path");
+            let object = object.moved(motion);
+            render::check_placement(&object, camera, &faces.vertices, &scene_bvh).doing(what())?;
+            let frame = session.frame(&caster.moved(motion).occluder).doing(what())?;
+            let started = Instant::now();
+            let shaded = set.shade(&object, &frame.removed.epsilon);
+            shade_ms.push(started.elapsed().as_secs_f64() * 1e3);
+            shadow_ms.push(frame.seconds * 1e3);
+            passes.push(frame.removed.passes);
+            write_layers(ctx, &format!("_{i:04}"), &frame.removed, &shaded)?;
+        }
+        if !passes.is_empty() {
+            ctx.figure("path_shadow_ms", shadow_ms);
+            ctx.figure("path_shade_ms", shade_ms);
+            ctx.figure("path_passes", passes);
+        }
+        Ok(())
     })
+}
+
+/// What `composite` puts into the plate.
+fn write_layers(ctx: &Context, suffix: &str, removed: &shadow::Removed, shaded: &Shaded) -> Result<()> {
+    let file = |name: &str, kind: &str| ctx.output(&format!("{name}{suffix}.{kind}"));
+    exr::write_radiance(&file("removed", "exr"), &removed.epsilon)?;
+    exr::write_radiance(&file("reflected", "exr"), &shaded.reflected)?;
+    if let Some(codes) = &removed.codes {
+        write_png(&file("codes", "png"), codes)?;
+    }
+    exr::write(&file("object", "exr"), &shaded.rendered.layer.to_planes(), exr::Kind::Picture)
 }
 
 /// The folder of an earlier stage, all named files of which are read.

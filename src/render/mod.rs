@@ -10,6 +10,7 @@ mod object;
 mod phong;
 mod placement;
 mod reflected;
+mod set;
 mod shade;
 
 pub use cells::Cells;
@@ -18,8 +19,9 @@ pub use layer::{Layer, Rendered, render};
 pub use load::load_object;
 pub use object::{Material, Object, Soup, Triangle};
 pub use phong::{Lobe, directional_albedo};
-pub use placement::{check_placement, world_from_object};
+pub use placement::{check_placement, motions, world_from_object};
 pub use reflected::Reflector;
+pub use set::{Set, Shaded};
 pub use shade::{Lighting, Shadowed};
 
 /// Why an object cannot be rendered.

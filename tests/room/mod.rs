@@ -9,6 +9,7 @@ use insitu::image::{Image, Radiance, RadianceImage, luminance};
 use insitu::shadow::{Receivers, Scene};
 use insitu::transfer::{Transfers, solve};
 
+#[allow(unused_imports)] // each test program uses its part
 pub use insitu::synthetic::{blob, camera, cuboid, face};
 
 /// The room. The window (2 × 1.2 m) is part of the wall at x = −2, its patches of the wall's size.
