@@ -4,7 +4,7 @@
 use super::breakdown::true_workspace;
 use super::{Static, triptych};
 use crate::artefact::{exr, json};
-use crate::composite::composite;
+use crate::composite::{composite, net};
 use crate::config::Render;
 use crate::driver::validate;
 use crate::error::{Context as _, Error, Result};
@@ -33,6 +33,8 @@ pub(super) struct Judged {
     pub statics: Static,
     pub reference: Reference,
     object: Layer,
+    /// Radiance that the plate gains from the object.
+    reflected: RadianceImage,
     clipped: Image<bool>,
 }
 
@@ -55,16 +57,22 @@ impl Judged {
             problem: format!("{} names no true picture with the object", file.display()),
             hint: "give `evaluate.reference`".into(),
         })?;
+        let reflected = exr::read_radiance(&workspace.folder("render").join("reflected.exr"))?;
         let path = workspace.folder("render").join("object.exr");
         let object = Layer::from_planes(&exr::read(&path)?)
             .ok_or_else(|| Error::Bug(format!("{} lacks planes", path.display())))?;
         let statics = Static::read(&workspace)?;
         let (width, height) = statics.plate.size();
         let clipped = Image::from_fn(width, height, |_, _| false);
-        Ok(Self { workspace, statics, reference, object, clipped })
+        Ok(Self { workspace, statics, reference, object, reflected, clipped })
     }
 
-    /// Compares the plate less ε, with the object in it, with the truth.
+    /// What the object takes by its shadow less what it gives by its light.
+    fn net(&self, removed: &RadianceImage) -> Result<RadianceImage> {
+        net(removed, &self.reflected).doing("adding the object's light")
+    }
+
+    /// Compares the plate less ε (net), with the object in it, with the truth.
     pub fn verdict(&self, epsilon: &RadianceImage) -> Result<Verdict> {
         let plate = &self.statics.plate;
         let composite = composite(plate, epsilon, &self.object).doing("compositing")?.radiance;
@@ -104,7 +112,7 @@ impl Judged {
             shadow::raytraced(&self.statics.scene(), &self.statics.occluder(), &settings)
                 .doing("tracing the shadow")
         };
-        let (a, b) = (trace(1)?.epsilon, trace(2)?.epsilon);
+        let (a, b) = (self.net(&trace(1)?.epsilon)?, self.net(&trace(2)?.epsilon)?);
         let (of_a, of_b) = (self.verdict(&a)?, self.verdict(&b)?);
         let truth = removed_in_truth(&self.statics.plate, &a, &of_a.comparison.removal_error);
         let error = common_error([&a, &b], &truth, &of_a.comparison.shadow_region).unwrap_or(f64::NAN);
@@ -154,7 +162,7 @@ pub(super) fn print(settings: &[PathBuf], pictures: Option<&Path>, printer: &Pri
         let workspace = &judged.workspace;
         let ours = exr::read_radiance(&workspace.folder("render").join("removed.exr"))?;
         let took = workspace.manifest("render")?.figures.get("shadow_s").and_then(|v| v.as_f64());
-        let ours = judged.verdict(&ours)?;
+        let ours = judged.verdict(&judged.net(&ours)?)?;
         let traced = judged.traced()?;
         let tint = traced.tint.map(|b| format!("{:+.1}", 100.0 * b)).join(" ");
         let truth_file = workspace.pipeline.evaluate.truth.as_ref().map(|p| workspace.base.join(p));
