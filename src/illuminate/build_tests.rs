@@ -76,7 +76,7 @@ fn refusals_say_why() {
     let env = environment(Vec3::new(0.0, 1.0, 0.0));
     let settings = config::Illuminate::default();
     let problem = |faces: &[Face], env: &Environment, s: &config::Illuminate| {
-        build(faces, env, None, s, |_| 0.0).map(|_| ()).unwrap_err()
+        build(faces, env, None, &Known::default(), s, |_| 0.0).map(|_| ()).unwrap_err()
     };
     assert_eq!(problem(&[], &env, &settings), Problem::NoFaces(0));
     let dark = Environment::from_fn(32, Vec3::Y, |_| [0.0; 3]);
