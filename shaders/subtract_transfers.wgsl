@@ -25,38 +25,31 @@ struct Receiver {
 const DEPTH_BIAS: f32 = 5e-4;
 const STEEPEST: f32 = 16.0;
 
-fn hit(texel: vec2<i32>, map: u32, depth: f32) -> f32 {
-    return select(0.0, 1.0, textureLoad(depths, texel, map, 0) < min(depth, 1.0));
-}
-
-// 2×2 percentage-closer filtering with the receiver plane's depth in each texel.
-fn mask(receiver: Receiver, map: u32) -> f32 {
+// Whether the occluder lies before the receiver's plane in the texel onto which the receiver falls.
+fn mask(receiver: Receiver, map: u32) -> bool {
     let offset = maps[map].offset;
     let position = receiver.position + receiver.across * offset.x + receiver.down * offset.y;
     let q = maps[map].map_from_world * vec4<f32>(position, 1.0);
     if q.w <= 1e-6 {
-        return 0.0;
+        return false;
     }
-    let p = q.xyz / q.w - vec3<f32>(0.5, 0.5, 0.0);
-    let first = floor(p.xy);
-    let last = f32(maps[map].size - 1u);
-    if first.x < 0.0 || first.y < 0.0 || first.x >= last || first.y >= last || p.z <= 0.0 {
-        return 0.0;
+    let p = q.xyz / q.w;
+    let size = f32(maps[map].size);
+    if p.x < 0.0 || p.y < 0.0 || p.x >= size || p.y >= size || p.z <= 0.0 {
+        return false;
+    }
+    let texel = floor(p.xy);
+    let depth = textureLoad(depths, vec2<i32>(texel), map, 0);
+    if depth >= 1.0 {
+        return false;
     }
     let plane = maps[map].planes * vec4<f32>(receiver.normal, -dot(receiver.normal, position));
-    let limit = STEEPEST / f32(maps[map].size);
+    let limit = STEEPEST / size;
     var slope = vec2<f32>(0.0);
     if plane.z != 0.0 {
         slope = clamp(-plane.xy / plane.z, vec2<f32>(-limit), vec2<f32>(limit));
     }
-    let f = p.xy - first;
-    let texel = vec2<i32>(first);
-    let corner = p.z - DEPTH_BIAS - slope.x * f.x - slope.y * f.y;
-    let top = hit(texel, map, corner) * (1.0 - f.x)
-        + hit(texel + vec2<i32>(1, 0), map, corner + slope.x) * f.x;
-    let bottom = hit(texel + vec2<i32>(0, 1), map, corner + slope.y) * (1.0 - f.x)
-        + hit(texel + vec2<i32>(1, 1), map, corner + slope.x + slope.y) * f.x;
-    return top * (1.0 - f.y) + bottom * f.y;
+    return depth < p.z + dot(slope, texel + 0.5 - p.xy) - DEPTH_BIAS;
 }
 
 // Whether a map can shadow anything in a sphere (centre, radius): `MapPlan::may_shadow`.
@@ -101,12 +94,11 @@ fn subtract(
         if needed[map] == 0u {
             continue;
         }
-        let share = mask(receiver, map);
-        if share > 0.0 {
+        if mask(receiver, map) {
             let irradiance = receiver.weights.x * sent(receiver.vertex_a, map)
                 + receiver.weights.y * sent(receiver.vertex_b, map)
                 + receiver.weights.z * sent(receiver.vertex_c, map);
-            sum += share * maps[map].weight * irradiance;
+            sum += maps[map].weight * irradiance;
         }
     }
     blocked[id.x] = vec4<f32>(sum, 0.0);

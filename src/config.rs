@@ -301,6 +301,16 @@ pub enum Backend {
 }
 
 settings! {
+    /// A placement on a path.
+    Pose {
+        /// As `render.position_m`.
+        position_m: [f64; 3] = [0.0; 3],
+        /// As `render.rotation_deg`.
+        rotation_deg: f64 = 0.0,
+    }
+}
+
+settings! {
     /// The synthetic object and its shadow.
     Render {
         /// The object, glTF, OBJ or PLY, in metres, relative to this file.
@@ -309,6 +319,8 @@ settings! {
         position_m: [f64; 3] = [0.0; 3],
         /// Turn about the grid's z axis.
         rotation_deg: f64 = 0.0,
+        /// Further placements, each rendered as a frame of its own.
+        path: Vec<Pose> = Vec::new(),
         /// Size of the object against its file.
         scale: f64 = 1.0,
         /// +Y of the object's file is up (glTF's habit); otherwise +Z is.
@@ -336,7 +348,7 @@ settings! {
         /// Clusters into which the sources are gathered, each with a shadow of its own (gibson §8); 0 for one a source.
         passes: usize = 50,
         /// Hard shadows (small shadow maps) of which each cluster's soft one is made, on average; 1 for the paper's one.
-        origins: usize = 16,
+        origins: usize = 4,
         /// Time for a frame, ms: no more passes than earlier frames say can be done in it; 0 for any.
         frame_ms: f64 = 0.0,
         /// Relative shadow error: no more passes than it needs by estimate; 0 for as many as `passes` says.

@@ -4,9 +4,9 @@ use insitu::artefact::{exr, json};
 use insitu::calibrate::Cameras;
 use insitu::error::{Context as _, Result};
 use insitu::illuminate;
-use insitu::irradiance::{Beams, Volume};
+use insitu::irradiance::Volume;
 use insitu::model::{Scene, face};
-use insitu::render::{self, Environment, Lighting, Object, Shadowed};
+use insitu::render::{self, Object, Set};
 use insitu::shadow::{self, Caster, Occluder, Receivers, Session};
 use insitu::stage::{Context, Input, digest_file};
 use insitu::transfer::Transfers;
@@ -56,17 +56,17 @@ fn main() -> std::process::ExitCode {
         }
 
         let started = Instant::now();
-        let [low, high] = object.bounds();
         let light_bvh = Bvh::new(&light.mesh.vertices, &light.mesh.triangles());
-        let width = settings.environment_px.max(8);
-        let environment = Environment::cast(&light, &light_bvh, (low + high) / 2.0, width, width / 2);
-        let beams = Beams::new(&light.distant, &light_bvh);
-        let irradiance = |position, normal| volume.irradiance_with(&beams, position, normal);
-        let shadowed = Shadowed { camera, plate: &plate, removed: &removed.epsilon, scene: &scene_bvh };
-        let lighting =
-            Lighting::new(&irradiance, &environment, &object, settings.shading_rays, Some(&shadowed));
-        let rendered =
-            render::render(&object, camera, &scene_bvh, &lighting, settings.antialiasing, settings.seed);
+        let set = Set {
+            camera,
+            plate: &plate,
+            light: &light,
+            light_bvh: &light_bvh,
+            volume: &volume,
+            scene_bvh: &scene_bvh,
+            settings,
+        };
+        let (rendered, environment) = set.shade(&object, &removed.epsilon);
         ctx.figure("shade_s", started.elapsed().as_secs_f64());
         ctx.figure("object_visible_px", rendered.visible_px);
         ctx.figure("object_hidden_px", rendered.hidden_px);
@@ -84,7 +84,29 @@ fn main() -> std::process::ExitCode {
             &exr::Planes::from_radiance(&environment.map),
             exr::Kind::LatLong,
         )?;
-        exr::write(&ctx.output("object.exr"), &rendered.layer.to_planes(), exr::Kind::Picture)
+        exr::write(&ctx.output("object.exr"), &rendered.layer.to_planes(), exr::Kind::Picture)?;
+
+        let (mut shadow_ms, mut shade_ms, mut passes) = (Vec::new(), Vec::new(), Vec::new());
+        for (i, motion) in render::motions(settings).doing("placing the object")?.iter().enumerate() {
+            let what = || format!("rendering frame {i} of the path");
+            let object = object.moved(motion);
+            render::check_placement(&object, camera, &faces.vertices, &scene_bvh).doing(what())?;
+            let frame = session.frame(&caster.moved(motion).occluder).doing(what())?;
+            let started = Instant::now();
+            let (rendered, _) = set.shade(&object, &frame.removed.epsilon);
+            shade_ms.push(started.elapsed().as_secs_f64() * 1e3);
+            shadow_ms.push(frame.seconds * 1e3);
+            passes.push(frame.removed.passes);
+            exr::write_radiance(&ctx.output(&format!("removed_{i:04}.exr")), &frame.removed.epsilon)?;
+            let file = ctx.output(&format!("object_{i:04}.exr"));
+            exr::write(&file, &rendered.layer.to_planes(), exr::Kind::Picture)?;
+        }
+        if !passes.is_empty() {
+            ctx.figure("path_shadow_ms", shadow_ms);
+            ctx.figure("path_shade_ms", shade_ms);
+            ctx.figure("path_passes", passes);
+        }
+        Ok(())
     })
 }
 

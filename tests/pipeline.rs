@@ -48,6 +48,20 @@ fn only_what_changed_reruns() {
     assert_eq!(capture.ran(&[])[0], "irradiance", "a spoilt output is made anew");
 
     assert_eq!(capture.ran(&["--force", "--from", "composite", "--to", "composite"]), ["composite"]);
+
+    let place = "position_m = [0.1, 0.1, -0.002]";
+    let path = "[{ position_m = [0.1, 0.1, -0.002] }, { position_m = [0.2, 0.0, 0.1], rotation_deg = 40.0 }]";
+    capture.set(&format!("{place}\nrotation_deg = 0.0\npath = {path}\n"));
+    assert_eq!(capture.ran(&["--to", "composite"]), ["render", "composite"]);
+    let picture = |name: &str| image::open(capture.path("work/composite").join(name)).unwrap().to_rgb8();
+    let (still, first, second) =
+        (picture("augmented.png"), picture("frame_0000.png"), picture("frame_0001.png"));
+    let difference = |a: &image::RgbImage, b: &image::RgbImage| {
+        let sum: u64 = a.as_raw().iter().zip(b.as_raw()).map(|(a, b)| u64::from(a.abs_diff(*b))).sum();
+        sum as f64 / a.as_raw().len() as f64
+    };
+    assert!(difference(&still, &first) < 0.02, "the first pose is where the object stands");
+    assert!(difference(&still, &second) > 0.2, "the second is not");
 }
 
 /// New pixels under the photograph's own header.

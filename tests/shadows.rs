@@ -24,7 +24,7 @@ fn radiance_transfer_agrees_with_the_reference() {
         ("thin plate raised", cuboid(at(0.0, 0.25, 0.0), at(0.2, 0.004, 0.15))),
     ];
     for (name, object) in &objects {
-        let slow = Render { method: ShadowMethod::Raytraced, rays: 2048, ..Default::default() };
+        let slow = Render { method: ShadowMethod::Raytraced, rays: 1024, ..Default::default() };
         let reference = removed_radiance(&scene, object, &slow).unwrap();
         let noise = reference.noise.unwrap();
         assert!(noise < 0.03, "{name}: the reference's own noise is {noise}");
@@ -40,7 +40,7 @@ fn radiance_transfer_agrees_with_the_reference() {
                 found.passes, found.shadow_maps
             );
             assert!(error <= bound, "{name}, {passes} passes: error {error}");
-            assert!(passes < 50 || bias.abs() <= 0.01, "{name}, {passes} passes: bias {bias}");
+            assert!(bias.abs() <= 0.01, "{name}, {passes} passes: bias {bias}");
         }
     }
 }

@@ -1,15 +1,13 @@
 //! What a frame costs when the object moves and all else is reused.
 
 use super::{Static, spread};
-use crate::config::Backend;
+use crate::config::{Backend, Render, ShadowMethod};
 use crate::error::{Context as _, Error, Result};
-use crate::gpu;
-use crate::irradiance::Beams;
 use crate::printer::Printer;
-use crate::render::{self, Environment, Lighting, Object, Shadowed};
-use crate::shadow::{self, Occluder, RadianceTransfer, Removed};
+use crate::render::{self, Object, Set};
+use crate::shadow::{Caster, Removed, Session};
 use crate::stage::Workspace;
-use glam::Vec3;
+use glam::{Affine3A, Vec3};
 use std::time::Instant;
 
 /// Prints a row for each back end; one that is not there says why.
@@ -36,38 +34,22 @@ pub(super) fn print(statics: &Static, workspace: &Workspace, frames: usize, prin
     Ok(())
 }
 
-/// The shadow method, prepared for one back end.
-enum Prepared<'a> {
-    Cpu(Box<RadianceTransfer<'a>>),
-    Gpu(Box<gpu::RadianceTransfer<'a>>),
-}
-
-impl Prepared<'_> {
-    fn removed_radiance(&self, occluder: &Occluder) -> Result<Removed, shadow::Problem> {
-        match self {
-            Self::Cpu(method) => method.removed_radiance(occluder),
-            Self::Gpu(method) => method.removed_radiance(occluder),
-        }
-    }
-}
-
 fn time(statics: &Static, workspace: &Workspace, backend: Backend, frames: usize) -> Result<String> {
     let settings = &workspace.pipeline.render;
     let scene = statics.scene();
     let started = Instant::now();
-    let prepared = match backend {
-        Backend::Cpu => RadianceTransfer::prepare(&scene, settings).map(|m| Prepared::Cpu(Box::new(m))),
-        Backend::Gpu => gpu::RadianceTransfer::prepare(&scene, settings).map(|m| Prepared::Gpu(Box::new(m))),
-    }
-    .doing("preparing the shadow method")?;
+    let method = ShadowMethod::RadianceTransfer;
+    let settings = Render { method, backend, ..settings.clone() };
+    let mut session = Session::prepare(&scene, &settings).doing("preparing the shadow method")?;
+    let caster = Caster::of(&statics.occluder(), &settings);
     let prepare = started.elapsed();
     let (mut shadow_ms, mut object_ms, mut composite_ms) = (Vec::new(), Vec::new(), Vec::new());
     for frame in 0..=frames {
         let angle = frame as f32 * 0.7;
-        let moved = translated(&statics.object, Vec3::new(angle.cos(), 0.0, angle.sin()) * 0.02);
-        let occluder = Occluder { vertices: moved.vertices.clone(), triangles: moved.triangles.clone() };
+        let motion = Affine3A::from_translation(Vec3::new(angle.cos(), 0.0, angle.sin()) * 0.02);
+        let (moved, caster) = (statics.object.moved(&motion), caster.moved(&motion));
         let started = Instant::now();
-        let removed = prepared.removed_radiance(&occluder).doing("finding the shadow")?;
+        let removed = session.frame(&caster.occluder).doing("finding the shadow")?.removed;
         let shadow_time = started.elapsed();
         let started = Instant::now();
         let layer = shade(statics, &moved, &removed, workspace);
@@ -95,23 +77,15 @@ fn time(statics: &Static, workspace: &Workspace, backend: Backend, frames: usize
     ))
 }
 
-fn translated(object: &Object, by: Vec3) -> Object {
-    let mut moved = object.clone();
-    moved.vertices.iter_mut().for_each(|v| *v += by);
-    moved
-}
-
 fn shade(statics: &Static, object: &Object, removed: &Removed, workspace: &Workspace) -> render::Layer {
-    let settings = &workspace.pipeline.render;
-    let camera = statics.cameras.plate_camera();
-    let [low, high] = object.bounds();
-    let width = settings.environment_px.max(8);
-    let environment =
-        Environment::cast(&statics.light, &statics.light_bvh, (low + high) / 2.0, width, width / 2);
-    let beams = Beams::new(&statics.light.distant, &statics.light_bvh);
-    let irradiance = |position, normal| statics.volume.irradiance_with(&beams, position, normal);
-    let shadowed =
-        Shadowed { camera, plate: &statics.plate, removed: &removed.epsilon, scene: &statics.scene_bvh };
-    let lighting = Lighting::new(&irradiance, &environment, object, settings.shading_rays, Some(&shadowed));
-    render::render(object, camera, &statics.scene_bvh, &lighting, settings.antialiasing, settings.seed).layer
+    let set = Set {
+        camera: statics.cameras.plate_camera(),
+        plate: &statics.plate,
+        light: &statics.light,
+        light_bvh: &statics.light_bvh,
+        volume: &statics.volume,
+        scene_bvh: &statics.scene_bvh,
+        settings: &workspace.pipeline.render,
+    };
+    set.shade(object, &removed.epsilon).0.layer
 }

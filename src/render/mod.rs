@@ -9,6 +9,7 @@ mod normals;
 mod object;
 mod phong;
 mod placement;
+mod set;
 mod shade;
 
 pub use cells::Cells;
@@ -17,7 +18,8 @@ pub use layer::{Layer, Rendered, render};
 pub use load::load_object;
 pub use object::{Material, Object, Soup, Triangle};
 pub use phong::{Lobe, directional_albedo};
-pub use placement::{check_placement, world_from_object};
+pub use placement::{check_placement, motions, world_from_object};
+pub use set::Set;
 pub use shade::{Lighting, Shadowed};
 
 /// Why an object cannot be rendered.

@@ -159,6 +159,14 @@ impl Object {
         Ok(object)
     }
 
+    /// The same object elsewhere; the motion is rigid.
+    pub fn moved(&self, motion: &glam::Affine3A) -> Self {
+        let mut moved = self.clone();
+        moved.vertices.iter_mut().for_each(|v| *v = motion.transform_point3(*v));
+        moved.normals.iter_mut().for_each(|n| *n = motion.transform_vector3(*n));
+        moved
+    }
+
     /// Corners of triangle `i`, m.
     pub fn corners(&self, i: usize) -> [Vec3; 3] {
         self.triangles[i].map(|v| self.vertices[v as usize])

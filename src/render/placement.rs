@@ -32,6 +32,17 @@ pub fn world_from_object(settings: &config::Render) -> Result<glam::Affine3A, Pr
     Ok(place.as_affine3a())
 }
 
+/// Rigid motions that take the object from where the settings place it to each pose of their path.
+pub fn motions(settings: &config::Render) -> Result<Vec<glam::Affine3A>, Problem> {
+    let object_from_world = world_from_object(settings)?.inverse();
+    let motion = |pose: &config::Pose| {
+        let (position_m, rotation_deg) = (pose.position_m, pose.rotation_deg);
+        let there = config::Render { position_m, rotation_deg, ..settings.clone() };
+        Ok(world_from_object(&there)? * object_from_world)
+    };
+    settings.path.iter().map(motion).collect()
+}
+
 /// Refuses an object that cannot be seen or stands outside the scene; warns of one that sinks into its support.
 /// `scene` holds the corners of the scene model's faces, `scene_bvh` its triangles.
 pub fn check_placement(
@@ -174,6 +185,28 @@ mod tests {
         assert_eq!(check(Vec3::new(0.0, 1.0, 1.0), false).unwrap(), Vec::<String>::new());
         let sunk = check(Vec3::new(0.0, -0.025, 1.0), true).unwrap();
         assert!(sunk[0].contains("sinks 25.0 mm"), "{sunk:?}");
+    }
+
+    #[test]
+    fn a_path_moves_the_object_to_its_poses() {
+        let pose = |position_m, rotation_deg| config::Pose { position_m, rotation_deg };
+        let path = vec![pose([1.0, 2.0, 0.0], 30.0), pose([1.0, 2.0, 0.5], 120.0)];
+        let settings = config::Render {
+            position_m: [1.0, 2.0, 0.0],
+            rotation_deg: 30.0,
+            scale: 2.0,
+            path,
+            ..Default::default()
+        };
+        let motions = motions(&settings).unwrap();
+        let at = world_from_object(&settings).unwrap().transform_point3(Vec3::X);
+        assert!(motions[0].transform_point3(at).distance(at) < 1e-5, "where it stands");
+        // The grid's (x, y, z) is the world's (x, z, −y): half a metre up, a quarter turn about the object's origin.
+        let origin = Vec3::new(1.0, 0.5, -2.0);
+        let turned = motions[1].transform_point3(at) - origin;
+        assert!(
+            (turned.length() - 2.0).abs() < 1e-5 && turned.dot(at - Vec3::new(1.0, 0.0, -2.0)).abs() < 1e-4
+        );
     }
 
     #[test]

@@ -6,7 +6,7 @@
 //! w over a border of width θ: its squared error is w² θ.
 
 use super::projection::ShadowOrigin;
-use super::representatives::{Moments, Seen};
+use super::representatives::{Moments, Seen, Sum};
 use crate::illuminate::patch::LightModel;
 use crate::transfer::{Source, SourceKind, SourceTree};
 use glam::{DVec3, Vec2, Vec3};
@@ -20,7 +20,9 @@ pub(crate) struct Origin {
     /// Index into the clusters.
     pub cluster: u32,
     pub at: ShadowOrigin,
-    /// Its share of all light that is sought; those of a frame sum to 1.
+    /// Its weight within the cluster; those of a cluster sum to 1.
+    pub weight: f64,
+    /// Its share of all light that is lost; those of a frame sum to 1.
     pub share: f64,
     /// Angular width of what it stands for as seen from the object, rad.
     pub width: f64,
@@ -52,6 +54,7 @@ enum Piece {
 struct Stratum {
     cluster: u32,
     piece: Piece,
+    weight: f64,
     share: f64,
     width: f64,
     /// Breaks ties.
@@ -61,7 +64,7 @@ struct Stratum {
 /// A triangle's or a disc's standard deviation, times this, is about its width.
 const WIDTHS: f64 = 3.464;
 /// Below this root of the summed squared errors no stratum is cut: no pixel would show it.
-const FINE: f64 = 2e-3;
+pub(crate) const FINE: f64 = 2e-3;
 
 impl Stratum {
     fn cost(&self) -> f64 {
@@ -93,40 +96,41 @@ impl Strata<'_> {
     /// Origins of clusters (nodes of the tree), by cluster: one each, and more where they save most until there are
     /// `most`. With no more than one a cluster they lie at the strongest source's centre, as in the paper.
     pub fn origins(&self, clusters: &[u32], most: usize) -> Vec<Origin> {
-        let total: f64 =
-            clusters.iter().map(|&n| self.moments.of(&self.tree.nodes[n as usize].leaves).weight).sum();
+        let total: f64 = clusters.iter().map(|&n| self.sum(n).lost).sum();
         if total <= 0.0 {
             return Vec::new();
         }
         let mut queue = BinaryHeap::with_capacity(most.min(1 << 16));
         let (mut number, mut left) = (0, 0.0);
-        let mut add = |queue: &mut BinaryHeap<Stratum>, left: &mut f64, cluster: u32, piece, share| {
+        let mut add = |queue: &mut BinaryHeap<Stratum>, left: &mut f64, cluster, piece, weight, share| {
             number += 1;
-            let stratum = Stratum { cluster, piece, share, width: self.width(piece), number };
+            let stratum = Stratum { cluster, piece, weight, share, width: self.width(piece), number };
             *left += stratum.cost();
             queue.push(stratum);
         };
         for (cluster, &node) in (0..).zip(clusters) {
-            let share = self.moments.of(&self.tree.nodes[node as usize].leaves).weight / total;
-            if share > 0.0 {
-                add(&mut queue, &mut left, cluster, self.piece(node), share);
-            }
+            add(&mut queue, &mut left, cluster, self.piece(node), 1.0, self.sum(node).lost / total);
         }
         let paper = most <= clusters.len();
         while queue.len() < most && left > FINE * FINE {
             let Some(worst) = queue.pop() else { break };
             left -= worst.cost();
-            for (piece, part) in self.halves(worst.piece) {
-                add(&mut queue, &mut left, worst.cluster, piece, worst.share * part);
+            for (piece, [weight, share]) in self.halves(worst.piece) {
+                let (weight, share) = (worst.weight * weight, worst.share * share);
+                add(&mut queue, &mut left, worst.cluster, piece, weight, share);
             }
         }
         let mut strata = queue.into_vec();
         strata.sort_by_key(|s| (s.cluster, s.number));
         let origin = |s: Stratum| {
             let at = if paper { self.strongest(s.piece) } else { self.middle(s.piece) };
-            Origin { cluster: s.cluster, at, share: s.share, width: s.width }
+            Origin { cluster: s.cluster, at, weight: s.weight, share: s.share, width: s.width }
         };
         strata.into_iter().map(origin).collect()
+    }
+
+    fn sum(&self, node: u32) -> Sum {
+        self.moments.of(&self.tree.nodes[node as usize].leaves)
     }
 
     /// What a node holds: itself, or its one source as a shape. Branches without a marked source are skipped.
@@ -134,7 +138,7 @@ impl Strata<'_> {
         loop {
             let n = &self.tree.nodes[node as usize];
             let Some(children) = n.children else { return self.shape(n.leaves.start) };
-            let holds = |c: u32| self.moments.of(&self.tree.nodes[c as usize].leaves).weight > 0.0;
+            let holds = |c: u32| self.sum(c).count > 0;
             match children.map(holds) {
                 [true, false] => node = children[0],
                 [false, true] => node = children[1],
@@ -152,14 +156,16 @@ impl Strata<'_> {
         }
     }
 
-    /// The two halves of a piece with their shares of it.
-    fn halves(&self, piece: Piece) -> [(Piece, f64); 2] {
+    /// The two halves of a piece with their shares of its weight and of its loss.
+    fn halves(&self, piece: Piece) -> [(Piece, [f64; 2]); 2] {
         match piece {
             Piece::Node(node) => {
                 let children = self.tree.nodes[node as usize].children.unwrap_or([node; 2]);
-                let weights = children.map(|c| self.moments.of(&self.tree.nodes[c as usize].leaves).weight);
-                let total = weights[0] + weights[1];
-                [0, 1].map(|i| (self.piece(children[i]), weights[i] / total))
+                let [a, b] = children.map(|c| self.sum(c));
+                let weight = a.weight / (a.weight + b.weight);
+                let share = a.lost / (a.lost + b.lost);
+                let pieces = children.map(|c| self.piece(c));
+                [(pieces[0], [weight, share]), (pieces[1], [1.0 - weight, 1.0 - share])]
             }
             Piece::Triangle(source, [a, b, c]) => {
                 // Across the longest edge.
@@ -170,7 +176,7 @@ impl Strata<'_> {
                     _ => [a, b, c],
                 };
                 let m = (b + c) / 2.0;
-                [[a, b, m], [a, m, c]].map(|t| (Piece::Triangle(source, t), 0.5))
+                [[a, b, m], [a, m, c]].map(|t| (Piece::Triangle(source, t), [0.5; 2]))
             }
             Piece::Sector(source, r2, phi) => {
                 let (inner, outer) = (r2[0].sqrt(), r2[1].sqrt());
@@ -181,7 +187,7 @@ impl Strata<'_> {
                 } else {
                     cut(r2).map(|r2| Piece::Sector(source, r2, phi))
                 };
-                parts.map(|p| (p, 0.5))
+                parts.map(|p| (p, [0.5; 2]))
             }
         }
     }
@@ -189,7 +195,7 @@ impl Strata<'_> {
     /// Angular width as seen from the object, rad.
     fn width(&self, piece: Piece) -> f64 {
         let variance = match piece {
-            Piece::Node(node) => self.moments.of(&self.tree.nodes[node as usize].leaves).variance(),
+            Piece::Node(node) => self.sum(node).variance(),
             Piece::Triangle(_, t) => triangle_variance(t, self.centre, self.radius),
             Piece::Sector(source, r2, phi) => {
                 let radius = self.disc_radius(source);
@@ -212,7 +218,7 @@ impl Strata<'_> {
     fn middle(&self, piece: Piece) -> ShadowOrigin {
         match piece {
             Piece::Node(node) => {
-                let sum = self.moments.of(&self.tree.nodes[node as usize].leaves);
+                let sum = self.sum(node);
                 if let Some(p) = sum.centroid() {
                     // Sources on both sides of the object have their centroid in it.
                     if p.distance(self.centre) > 1.5 * self.radius {
@@ -295,6 +301,7 @@ mod tests {
             let direction = position.normalize();
             seen.push(Seen {
                 weight: 1.0 + f64::from(i),
+                lost: 1.0 + f64::from(i),
                 marked: true,
                 direction,
                 own_variance,
@@ -352,6 +359,7 @@ mod tests {
         let sources = [Source { kind: SourceKind::Distant(0), power_share: 1.0, mean: 1.0 }];
         let seen = [Seen {
             weight: 1.0,
+            lost: 1.0,
             marked: true,
             direction: axis.as_dvec3(),
             own_variance: 1e-4,

@@ -1,9 +1,9 @@
 //! What one frame draws: clusters of sources, and the maps of each.
 
 use super::importance::seen;
-use super::origins::{Origin, Strata};
+use super::origins::{FINE, Origin, Strata};
 use super::projection::{MapPlan, OFFSETS};
-use super::representatives::{Moments, Priority, Seen, representatives};
+use super::representatives::{Moments, Seen, representatives};
 use super::tiles::Prepared;
 use super::{Bounds, Scene};
 use crate::transfer::Affected;
@@ -33,9 +33,8 @@ pub(crate) struct Outlook<'a> {
     moments: Moments,
 }
 
-/// Relative shadow error over the root of the summed squared errors of hard shadows (see [`super::origins`]); fitted to
-/// measured errors so that few lie above the prediction.
-const ERROR_SCALE: f64 = 1.0;
+/// What neither clusters nor origins make better: texels, the simplified object, transfers between vertices.
+const REST: f64 = 0.02;
 
 impl<'a> Outlook<'a> {
     pub fn new(scene: &Scene<'a>, prepared: &Prepared, bounds: Bounds) -> Self {
@@ -58,13 +57,17 @@ impl<'a> Outlook<'a> {
     /// At most `passes` clusters (0: one a source) with `origins` maps each on average.
     pub fn plan(&self, passes: usize, origins: usize, map_px: usize) -> Plan {
         let tree = &self.scene.transfers.tree;
-        let nodes = representatives(tree, &self.moments, passes, Priority::Spread);
+        let nodes = representatives(tree, &self.moments, passes);
         let found = self.origins(&nodes, origins);
-        let mut shares = vec![0.0; nodes.len()];
-        found.iter().for_each(|o| shares[o.cluster as usize] += o.share);
         let maps = (0..).zip(&found).map(|(i, o)| {
-            let weight = (o.share / shares[o.cluster as usize]) as f32;
-            MapPlan::new(o.cluster, o.at, weight, i % OFFSETS.len(), &self.bounds, map_size(map_px, o))
+            MapPlan::new(
+                o.cluster,
+                o.at,
+                o.weight as f32,
+                i % OFFSETS.len(),
+                &self.bounds,
+                map_size(map_px, o),
+            )
         });
         Plan {
             sources: self.sources(),
@@ -77,7 +80,7 @@ impl<'a> Outlook<'a> {
 
     /// The relative shadow error to expect of so many passes.
     pub fn error(&self, passes: usize, origins: usize) -> f64 {
-        let nodes = representatives(&self.scene.transfers.tree, &self.moments, passes, Priority::Spread);
+        let nodes = representatives(&self.scene.transfers.tree, &self.moments, passes);
         error(&self.origins(&nodes, origins))
     }
 
@@ -95,20 +98,23 @@ impl<'a> Outlook<'a> {
     }
 }
 
+/// Relative shadow error that hard shadows in the place of penumbrae cost (see [`super::origins`]), and what else there
+/// is.
 fn error(origins: &[Origin]) -> f64 {
-    ERROR_SCALE * origins.iter().map(|o| o.share * o.share * o.width).sum::<f64>().sqrt()
+    origins.iter().map(|o| o.share * o.share * o.width).sum::<f64>().sqrt().hypot(REST)
 }
 
-/// Fewest texels along a map.
-const COARSEST: usize = 32;
-/// Texels per radian of an origin's width over the object's angular size: a texel may be about a quarter of the penumbra.
-const TEXELS: f64 = 4.0;
-/// An edge that is off by a texel may cost so much, as a share of the light squared times the share of the map.
-const TEXEL_COST: f64 = 1e-6;
+/// Fewest texels along a map: averaged over many, a texel's edges blur the shadow by a texel, which shows where the object
+/// stands on the ground.
+const COARSEST: usize = 128;
+/// Texels along a map per angular width of its origin, 1/rad: a texel is about half as wide as the penumbra that the
+/// origin stands for, near the object.
+const TEXELS: f64 = 2.0;
 
-/// Side of an origin's map: fine enough for its penumbra, and no finer than its light deserves.
+/// Side of an origin's map: fine enough for its penumbra, and no finer than its light deserves. Like a hard edge in the
+/// place of a penumbra (see [`super::origins`]), a texel's edge errs by the light's share over the texel's width.
 fn map_size(full: usize, origin: &Origin) -> usize {
-    let wanted = (TEXELS / origin.width).min(origin.share * origin.share / TEXEL_COST);
+    let wanted = (TEXELS / origin.width).min(origin.share / (FINE * FINE));
     let mut size = full;
     while size / 2 >= COARSEST && (size / 2) as f64 >= wanted {
         size /= 2;

@@ -27,6 +27,13 @@ impl Bounds {
         Self { min, max, centre, radius }
     }
 
+    /// Whether a segment comes within `reach` of the sphere.
+    pub fn near_segment(&self, from: Vec3, to: Vec3, reach: f32) -> bool {
+        let (v, centre) = (to - from, self.centre - from);
+        let along = (centre.dot(v) / v.length_squared().max(f32::MIN_POSITIVE)).clamp(0.0, 1.0);
+        (v * along).distance(centre) <= (self.radius + reach) * 1.001
+    }
+
     fn corners(&self) -> [DVec3; 8] {
         // A flat object gets a little depth, so that every frustum has a volume.
         let pad = DVec3::splat(f64::from(self.radius) * 1e-3);
@@ -152,6 +159,8 @@ pub struct MapPlan {
     pub projection: Option<Projection>,
     /// Planes around what the occluder can shadow.
     pub sides: [Vec4; 5],
+    /// The occluder.
+    pub bounds: Bounds,
 }
 
 /// Where in a pixel maps are looked up in turn, px from the centre: edges are smooth where the penumbra is narrower than
@@ -171,11 +180,14 @@ impl MapPlan {
     ) -> Self {
         let projection = Projection::fit(origin, bounds, size);
         let sides = projection.map_or([Vec4::W; 5], |p| p.sides(size));
-        Self { cluster, origin, weight, offset, size, projection, sides }
+        Self { cluster, origin, weight, offset, size, projection, sides, bounds: *bounds }
     }
 
     /// Whether the occluder can shadow anything in a sphere; may say yes where it cannot.
     pub fn may_shadow(&self, centre: Vec3, radius: f32) -> bool {
+        if let (None, ShadowOrigin::Point(p)) = (self.projection, self.origin) {
+            return self.bounds.near_segment(centre, p, radius);
+        }
         let reach = -radius * 1.001 - 1e-4;
         self.sides.iter().all(|side| side.dot(centre.extend(1.0)) >= reach)
     }
@@ -230,6 +242,15 @@ mod tests {
             let behind = if distant { on - from.normalize() * far } else { from + (on - from) * far };
             prop_assert!(plan.may_shadow(behind, 0.01));
         }
+    }
+
+    #[test]
+    fn rays_to_an_origin_at_the_object_are_culled_too() {
+        let bounds = Bounds::of(&cube(Vec3::ZERO, 0.2));
+        let plan = MapPlan::new(0, ShadowOrigin::Point(Vec3::new(3.0, 0.0, 0.0)), 1.0, 0, &bounds, 64);
+        let plan = MapPlan { projection: None, ..plan };
+        assert!(plan.may_shadow(Vec3::new(-2.0, 0.2, 0.0), 0.1));
+        assert!(!plan.may_shadow(Vec3::new(-2.0, 2.0, 0.0), 0.1), "the segment passes beside the object");
     }
 
     #[test]

@@ -19,6 +19,9 @@ const BATCH_TEXELS: usize = 24 << 20;
 /// Columns of transfers that are held at a time.
 const BATCH_CLUSTERS: usize = 256;
 
+/// Rays by which a tile is probed.
+const RAY_PROBES: usize = 8;
+
 /// The method with everything static in place; only the object changes from frame to frame.
 pub struct RadianceTransfer<'a> {
     scene: Scene<'a>,
@@ -137,15 +140,15 @@ impl<'a> RadianceTransfer<'a> {
             blocked.par_iter_mut().zip(&self.prepared.pixels).for_each(|(sum, pixel)| {
                 for (plan, map) in maps.iter().zip(&drawn) {
                     let position = pixel.at(OFFSETS[plan.offset]);
-                    let share = match map {
+                    let blocked = match map {
                         Some(map) => map.blocked(position, pixel.normal),
-                        None => f32::from(rays.blocked(&plan.origin, position, pixel.normal)),
+                        None => rays.blocked(&plan.origin, position, pixel.normal),
                     };
-                    if share > 0.0 {
+                    if blocked {
                         let corners = pixel.vertices.map(|v| columns.at(v, plan.cluster));
                         for (c, sum) in sum.iter_mut().enumerate() {
                             let irradiance: f32 = (0..3).map(|k| pixel.weights[k] * corners[k][c]).sum();
-                            *sum += f64::from(share * plan.weight) * f64::from(irradiance);
+                            *sum += f64::from(plan.weight) * f64::from(irradiance);
                         }
                     }
                 }
@@ -289,20 +292,32 @@ impl<'a> RadianceTransfer<'a> {
                         Cover::Everything => whole += plan.weight,
                         Cover::Part => {
                             in_part = true;
+                            let mut on: Option<(u32, OnPlane)> = None;
                             for (vector, mask) in vectors.iter().zip(&mut masks) {
                                 let pixel = &pixels[vector.pixels.start];
-                                let on = OnPlane::new(&map.map, pixel.position, pixel.normal);
-                                *mask += weight * on.blocked(&vector.positions[plan.offset]);
+                                let on = match &on {
+                                    Some((patch, on)) if *patch == pixel.patch => on,
+                                    _ => {
+                                        let new = OnPlane::new(&map.map, pixel.position, pixel.normal);
+                                        &on.insert((pixel.patch, new)).1
+                                    }
+                                };
+                                *mask += weight & on.blocked(&vector.positions[plan.offset]);
                             }
                         }
                     },
-                    Mask::Rays(origin) => {
-                        in_part = true;
-                        for (vector, mask) in vectors.iter().zip(&mut masks) {
-                            let normal = pixels[vector.pixels.start].normal;
-                            *mask += weight * batch.rays.blocked_lanes(origin, vector, plan.offset, normal);
+                    Mask::Rays(origin) => match batch.rays.cover(origin, vectors, pixels, plan.offset) {
+                        Cover::Nothing => {}
+                        Cover::Everything => whole += plan.weight,
+                        Cover::Part => {
+                            in_part = true;
+                            for (vector, mask) in vectors.iter().zip(&mut masks) {
+                                let normal = pixels[vector.pixels.start].normal;
+                                *mask +=
+                                    weight * batch.rays.blocked_lanes(origin, vector, plan.offset, normal);
+                            }
                         }
-                    }
+                    },
                 }
             }
             if whole > 0.0 || in_part {
@@ -361,19 +376,24 @@ impl Rays {
     fn blocked(&self, origin: &ShadowOrigin, position: Vec3, normal: Vec3) -> bool {
         let from = position + normal * 1e-4;
         match *origin {
-            ShadowOrigin::Point(p) => self.near(from, p - from, true) && self.bvh.occluded(from, p),
-            ShadowOrigin::Direction(d) => {
-                self.near(from, d, false) && self.bvh.any_hit(from, d, 0.0, f32::INFINITY)
-            }
+            ShadowOrigin::Point(p) => self.bounds.near_segment(from, p, 0.0) && self.bvh.occluded(from, p),
+            ShadowOrigin::Direction(d) => self.bvh.any_hit(from, d, 0.0, f32::INFINITY),
         }
     }
 
-    /// Whether a segment or ray passes the occluder's bounding sphere.
-    fn near(&self, from: Vec3, v: Vec3, ends: bool) -> bool {
-        let to = self.bounds.centre - from;
-        let along = (to.dot(v) / v.length_squared()).max(0.0);
-        let nearest = v * if ends { along.min(1.0) } else { along };
-        nearest.distance_squared(to) <= self.bounds.radius * self.bounds.radius
+    /// What a few rays say of a tile: an origin at the object sees it large, with few edges.
+    fn cover(&self, origin: &ShadowOrigin, vectors: &[Vector], pixels: &[Pixel], offset: usize) -> Cover {
+        let blocked = |vector: &Vector| {
+            let position = vector.positions[offset].map(|lanes| lanes.as_array_ref()[0]);
+            self.blocked(origin, Vec3::from(position), pixels[vector.pixels.start].normal)
+        };
+        let mut probes = vectors.iter().step_by(vectors.len().div_ceil(RAY_PROBES).max(1)).map(blocked);
+        let first = probes.next().unwrap_or(false);
+        match (first, probes.all(|b| b == first)) {
+            (true, true) => Cover::Everything,
+            (false, true) => Cover::Nothing,
+            _ => Cover::Part,
+        }
     }
 
     fn blocked_lanes(&self, origin: &ShadowOrigin, vector: &Vector, offset: usize, normal: Vec3) -> f32x8 {

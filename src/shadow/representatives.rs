@@ -9,8 +9,10 @@ use std::ops::Range;
 /// What a frame knows of a source.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct Seen {
-    /// Light that the object can take out of the picture, in any one unit; 0 where it can take none.
+    /// Irradiance that it sends to where its shadow falls, in any one unit: its weight within a cluster.
     pub weight: f64,
+    /// Light that the picture loses of it, in any one unit.
+    pub lost: f64,
     /// Whether the object may stand in its light at all.
     pub marked: bool,
     /// Unit direction towards its centre from the object's.
@@ -30,6 +32,7 @@ pub(crate) struct Sum {
     /// Marked sources.
     pub count: u32,
     pub weight: f64,
+    pub lost: f64,
     direction: DVec3,
     own_variance: f64,
     position: DVec3,
@@ -46,6 +49,7 @@ impl Moments {
                 let w = source.weight;
                 sum.count += 1;
                 sum.weight += w;
+                sum.lost += source.lost;
                 sum.direction += source.direction * w;
                 sum.own_variance += source.own_variance * w;
                 if let Some(p) = source.position {
@@ -63,6 +67,7 @@ impl Moments {
         Sum {
             count: b.count - a.count,
             weight: b.weight - a.weight,
+            lost: b.lost - a.lost,
             direction: b.direction - a.direction,
             own_variance: b.own_variance - a.own_variance,
             position: b.position - a.position,
@@ -93,15 +98,6 @@ impl Sum {
     }
 }
 
-/// What of the tree is split first.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Priority {
-    /// The largest average transfer of the marked sources, as in the paper.
-    Transfer,
-    /// Transfer times angular spread as seen from the object: what one hard shadow gets wrong.
-    Spread,
-}
-
 /// An entry of the queue; the larger key first, then the smaller node, so that the order is one.
 struct Entry {
     key: f64,
@@ -129,20 +125,12 @@ impl PartialEq for Entry {
 impl Eq for Entry {}
 
 /// Nodes of the tree, in the order of their leaves, that hold every marked source once; at most `count`, 0 for one a
-/// source.
-pub(crate) fn representatives(
-    tree: &SourceTree,
-    moments: &Moments,
-    count: usize,
-    priority: Priority,
-) -> Vec<u32> {
+/// source. The node of which the picture loses most is split first: the paper's largest average transfer, taken where the
+/// shadow falls.
+pub(crate) fn representatives(tree: &SourceTree, moments: &Moments, count: usize) -> Vec<u32> {
     let entry = |node: u32| {
         let sum = moments.of(&tree.nodes[node as usize].leaves);
-        let key = match priority {
-            Priority::Transfer => sum.weight,
-            Priority::Spread => sum.weight * sum.variance().sqrt(),
-        };
-        (sum.count > 0).then_some(Entry { key, node })
+        (sum.count > 0).then_some(Entry { key: sum.lost, node })
     };
     let most = if count == 0 { usize::MAX } else { count };
     let mut queue: BinaryHeap<Entry> =
@@ -188,6 +176,7 @@ pub(crate) mod tests {
             let direction = DVec3::new((i as f64).cos(), 1.0, (i as f64).sin()).normalize();
             Seen {
                 weight,
+                lost: weight,
                 marked: weight > 0.0,
                 direction,
                 own_variance: 1e-3,
@@ -201,12 +190,10 @@ pub(crate) mod tests {
         #[test]
         fn every_marked_source_is_in_one_cluster(
             weights in proptest::collection::vec(prop_oneof![Just(0.0), 1e-6..1.0f64], 1..80), count in 0usize..100,
-            spread in any::<bool>(),
         ) {
             let tree = balanced(weights.len() as u32);
             let moments = Moments::new(&seen(&weights));
-            let priority = if spread { Priority::Spread } else { Priority::Transfer };
-            let nodes = representatives(&tree, &moments, count, priority);
+            let nodes = representatives(&tree, &moments, count);
             let marked = weights.iter().filter(|w| **w > 0.0).count();
             let expected = if count == 0 { marked } else { marked.min(count) };
             prop_assert_eq!(nodes.len(), expected);
@@ -225,11 +212,11 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn the_largest_transfer_is_split_first() {
+    fn the_largest_loss_is_split_first() {
         let tree = balanced(4);
         let moments = Moments::new(&seen(&[0.1, 0.1, 0.4, 0.4]));
         let leaves = |count| -> Vec<Range<u32>> {
-            let nodes = representatives(&tree, &moments, count, Priority::Transfer);
+            let nodes = representatives(&tree, &moments, count);
             nodes.iter().map(|&n| tree.nodes[n as usize].leaves.clone()).collect()
         };
         assert_eq!(leaves(1), [0..4]);

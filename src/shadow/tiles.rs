@@ -173,7 +173,7 @@ impl Part {
                 part.pixels.extend(pixel(scene, scene.receivers, x, y)?);
             }
             // Stable: within a triangle pixels stay in the order of their rows.
-            part.pixels[first..].sort_by_key(|p| p.vertices);
+            part.pixels[first..].sort_by_key(|p| (p.patch, p.vertices));
             part.add_tile(first);
         }
         Ok(part)
