@@ -265,7 +265,7 @@ settings! {
         /// Visibility rays for each pair of source and receiver vertex.
         rays: usize = 8,
         /// Sources are stored as one where their average shares misattribute at most this share of a vertex's irradiance.
-        link_tolerance: f64 = 0.001,
+        link_tolerance: f64 = 0.002,
         /// By what the strongest sources are found.
         order: SourceOrder = SourceOrder::Received,
         /// Receiver patches in a leaf of their octree.
@@ -274,7 +274,7 @@ settings! {
         shaft_share: f64 = 0.02,
         /// Receivers are split where transfers differ from what their vertices say by more than this share of the
         /// irradiance; 0 leaves them as they are.
-        receiver_tolerance: f64 = 0.05,
+        receiver_tolerance: f64 = 0.1,
         /// Receivers are not split beyond so many vertices.
         receiver_vertices: usize = 20_000,
     }

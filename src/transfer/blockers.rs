@@ -1,7 +1,7 @@
 //! Which nodes of a light tree nothing of the scene can hide from a cluster of receivers: no rays are needed there.
 
 use super::boxes::Box3;
-use super::gather::LightField;
+use super::field::LightField;
 use super::lights::Shape;
 use super::shaft::Shaft;
 use super::tree::Extent;

@@ -2,6 +2,7 @@
 
 mod blockers;
 mod boxes;
+mod field;
 pub mod form_factor;
 mod gather;
 mod lights;

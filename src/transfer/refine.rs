@@ -33,6 +33,9 @@ struct Middle {
     off: f64,
 }
 
+/// What beside an edge its middle needs: sum and number of the centroids of its triangles, and one of their patches.
+type Beside = (Vec3, f32, u32);
+
 /// Splits receivers and appends the rows of new vertices; `done` is called for each point that is gathered.
 pub(super) fn refine(
     receivers: &mut ReceiverMesh,
@@ -45,21 +48,34 @@ pub(super) fn refine(
     let mut middles: BTreeMap<Edge, Middle> = BTreeMap::new();
     for _ in 0..ROUNDS {
         let edges = edges(receivers);
-        let long = |edge: &Edge, (_, _, patch): &(Vec3, f32, u32)| {
+        let gather = |middles: &mut BTreeMap<Edge, Middle>,
+                      receivers: &ReceiverMesh,
+                      rows: &[Row],
+                      chosen: &[Edge]| {
+            let point = |edge: &Edge| {
+                let (sum, count, patch) = edges[edge];
+                let (position, normal) = (receivers.middle(*edge), receivers.normals[edge.0 as usize]);
+                let group = surroundings.group(receivers, patch);
+                (group, surroundings.point(patch, position, normal, (sum, count)))
+            };
+            let points: Vec<_> = chosen.iter().map(point).collect();
+            for (&edge, row) in chosen.iter().zip(surroundings.rows(lighting, &points, done)) {
+                let off = bent(&rows[edge.0 as usize], &row, &rows[edge.1 as usize]);
+                middles.insert(edge, Middle { row, off });
+            }
+        };
+        let long = |edge: &Edge, (_, _, patch): &Beside| {
             let px = receivers.patches.binary_search(patch).map_or(0.0, |i| limits.pixels[i]);
             receivers.length(*edge) > LEAST_PX * px
         };
-        let candidates = edges.iter().filter(|(e, around)| {
+        let candidates = edges.iter().filter(|(e, beside)| {
             let [a, b] = [e.0, e.1].map(|v| &rows[v as usize]);
-            long(e, around) && !middles.contains_key(e) && uneven(a, b) > limits.tolerance
+            long(e, beside) && !middles.contains_key(e) && uneven(a, b) > limits.tolerance
         });
         let candidates: Vec<Edge> = candidates.map(|(&e, _)| e).collect();
-        gather(receivers, rows, surroundings, lighting, &edges, &candidates, &mut middles, done);
-        let mut halved: Vec<Edge> = edges
-            .keys()
-            .copied()
-            .filter(|e| middles.get(e).is_some_and(|m| m.off > limits.tolerance))
-            .collect();
+        gather(&mut middles, receivers, rows, &candidates);
+        let bent = |e: &&Edge| middles.get(e).is_some_and(|m| m.off > limits.tolerance);
+        let mut halved: Vec<Edge> = edges.keys().filter(bent).copied().collect();
         let off = |e: &Edge| middles[e].off * f64::from(receivers.length(*e));
         halved.sort_by(|a, b| off(b).total_cmp(&off(a)).then(a.cmp(b)));
         halved.truncate(limits.vertices.saturating_sub(receivers.positions.len()));
@@ -68,7 +84,7 @@ pub(super) fn refine(
         }
         let halved = closed(receivers, halved);
         let missing: Vec<Edge> = halved.iter().copied().filter(|e| !middles.contains_key(e)).collect();
-        gather(receivers, rows, surroundings, lighting, &edges, &missing, &mut middles, done);
+        gather(&mut middles, receivers, rows, &missing);
         let mut vertex_of = BTreeMap::new();
         for edge in halved {
             if let Some(middle) = middles.remove(&edge) {
@@ -80,35 +96,8 @@ pub(super) fn refine(
     }
 }
 
-/// Gathers the middles of some edges.
-#[allow(clippy::too_many_arguments)] // one call in two places
-fn gather(
-    receivers: &ReceiverMesh,
-    rows: &[Row],
-    surroundings: &Surroundings,
-    lighting: &Lighting,
-    around: &BTreeMap<Edge, (Vec3, f32, u32)>,
-    edges: &[Edge],
-    middles: &mut BTreeMap<Edge, Middle>,
-    done: &(impl Fn() + Sync),
-) {
-    let points: Vec<_> = edges
-        .iter()
-        .map(|e| {
-            let (sum, count, patch) = around[e];
-            let normal = receivers.normals[e.0 as usize];
-            let group = surroundings.group(receivers, patch);
-            (group, surroundings.point(patch, receivers.middle(*e), normal, (sum, count)))
-        })
-        .collect();
-    for (&edge, row) in edges.iter().zip(surroundings.rows(lighting, &points, done)) {
-        let off = bent(&rows[edge.0 as usize], &row, &rows[edge.1 as usize]);
-        middles.insert(edge, Middle { row, off });
-    }
-}
-
-/// Edges of the triangles; sum and number of the centroids beside each, and a patch that it belongs to.
-fn edges(receivers: &ReceiverMesh) -> BTreeMap<Edge, (Vec3, f32, u32)> {
+/// Edges of the triangles.
+fn edges(receivers: &ReceiverMesh) -> BTreeMap<Edge, Beside> {
     let mut edges = BTreeMap::new();
     for t in &receivers.triangles {
         let centroid = receivers.centroid(t);

@@ -1,7 +1,8 @@
 //! All light at receiver points: the cut of the source set's tree, and how much the rest adds.
 
 use super::blockers::{Blockers, Sides};
-use super::gather::{Fineness, Gatherer, LightField, OFFSET_M, Point, Sent};
+use super::field::{LightField, Point};
+use super::gather::{Fineness, Gatherer, OFFSET_M, Sent};
 use super::links::{Cutter, Entry};
 use super::lobe::Lobe;
 use super::octree::ReceiverTree;
@@ -233,9 +234,10 @@ pub(super) fn vertex_points(receivers: &ReceiverMesh, surroundings: &Surrounding
             patches[v] = t.patch;
         }
     }
-    let all = receivers.positions.iter().zip(&receivers.normals).zip(&around);
-    let point = |(&patch, ((&p, &n), &around)): (&u32, ((&Vec3, &Vec3), &(Vec3, f32)))| {
-        (surroundings.group(receivers, patch), surroundings.point(patch, p, n, around))
+    let point = |v: usize| {
+        let (position, normal) = (receivers.positions[v], receivers.normals[v]);
+        let group = surroundings.group(receivers, patches[v]);
+        (group, surroundings.point(patches[v], position, normal, around[v]))
     };
-    patches.iter().zip(all).map(point).collect()
+    (0..receivers.positions.len()).map(point).collect()
 }

@@ -1,6 +1,7 @@
 //! Which lights make the source set (gibson §4).
 
-use super::gather::{Fineness, Gatherer, LightField, Sent};
+use super::field::{LightField, Point};
+use super::gather::{Fineness, Gatherer, Sent};
 use super::lights::{Light, Shape};
 use crate::config::SourceOrder;
 use crate::image::luminance;
@@ -98,13 +99,7 @@ pub(super) fn magnitude(sent: &[Sent]) -> f64 {
 
 impl Gatherer<'_> {
     /// What all lights of a field send to a point, about: [`magnitude`] of a coarse cut.
-    pub fn about(
-        &self,
-        field: &LightField,
-        free: &[bool],
-        point: &super::gather::Point,
-        sent: &mut Vec<Sent>,
-    ) -> f64 {
+    pub fn about(&self, field: &LightField, free: &[bool], point: &Point, sent: &mut Vec<Sent>) -> f64 {
         self.cut(field, free, point, Fineness { most: f64::INFINITY, coarse: true }, sent);
         magnitude(sent)
     }

@@ -1,6 +1,6 @@
 //! From lights and what the plate sees to transfers: sets, trees, sparse rows, refinement, shafts.
 
-use super::gather::{LightField, Point};
+use super::field::{LightField, Point};
 use super::lights::Light;
 use super::links::Links;
 use super::refine::{Limits, refine};

@@ -162,7 +162,7 @@ fn nothing_is_missed(light: &LightModel, transfers: &Transfers, boxes: &[(Vec3, 
 
 #[test]
 fn traversal_never_misses_what_a_segment_passes() {
-    let boxes: Vec<(Vec3, Vec3)> = (0..60)
+    let boxes: Vec<(Vec3, Vec3)> = (0..40)
         .map(|i| {
             let r = |k: u32| sampling::Shift::new(5, i).jitter(k);
             let min = Vec3::new(3.6 * r(0) - 1.9, 2.4 * r(1), 3.6 * r(2) - 1.9);
@@ -256,9 +256,9 @@ fn interpolated(transfers: &Transfers, patch: u32, weights: [f32; 3]) -> Option<
 
 #[test]
 fn receivers_are_split_along_shadows_and_know_them_better() {
-    let light = room(0.25);
+    let light = room(0.35);
     let coarse = solved(&light, &Transfer { receiver_tolerance: 0.0, ..all() });
-    let fine = solved(&light, &all());
+    let fine = solved(&light, &Transfer { receiver_tolerance: 0.05, ..all() });
     assert!(fine.receivers.positions.len() > coarse.receivers.positions.len() + 50);
     let capped = Transfer { receiver_vertices: coarse.receivers.positions.len() + 40, ..all() };
     let capped = solved(&light, &capped).receivers.positions.len();
@@ -268,7 +268,7 @@ fn receivers_are_split_along_shadows_and_know_them_better() {
     let keep: Vec<Patch> = dense.mesh.patches.iter().filter(|p| p.face != 0).copied().collect();
     dense.mesh.patches = keep;
     let (z, x) = (Vec3::Z * 4.0, Vec3::X * 4.0);
-    face(&mut dense.mesh, Vec3::new(-2.0, 0.0, -2.0), z, x, 0.05, |p| 0.2 + 0.05 * p.x);
+    face(&mut dense.mesh, Vec3::new(-2.0, 0.0, -2.0), z, x, 0.08, |p| 0.2 + 0.05 * p.x);
     let dense_transfers = solved(&dense, &Transfer { receiver_tolerance: 0.0, ..all() });
     let (mut errors, mut count) = ([0.0f64; 2], 0);
     for (i, patch) in dense.mesh.patches.iter().enumerate() {
@@ -295,7 +295,7 @@ fn receivers_are_split_along_shadows_and_know_them_better() {
     }
     let rms = errors.map(|e| (e / f64::from(count)).sqrt());
     println!("rms error of the irradiance around the table: {:.3} not split, {:.3} split", rms[0], rms[1]);
-    assert!(count > 300 && rms[1] < 0.7 * rms[0], "{rms:?} at {count} points");
+    assert!(count > 200 && rms[1] < 0.7 * rms[0], "{rms:?} at {count} points");
 }
 
 #[test]
@@ -375,7 +375,7 @@ fn a_thousand_faint_sources_add_up_in_f32_as_in_f64() {
 
 #[test]
 fn clusters_and_single_lights_agree() {
-    let light = room(0.2);
+    let light = room(0.25);
     let exact = Transfer { link_tolerance: 0.0, receiver_tolerance: 0.0, rays: 16, ..all() };
     let (exact, fast) =
         (solved(&light, &exact), solved(&light, &Transfer { receiver_tolerance: 0.0, ..all() }));
@@ -393,7 +393,7 @@ fn clusters_and_single_lights_agree() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 8, ..Default::default() })]
     #[test]
-    fn the_furnace_stays_at_pi(edge in 0.2..0.8f32, radiance in 1e-3..1e3f32) {
+    fn the_furnace_stays_at_pi(edge in 0.3..0.8f32, radiance in 1e-3..1e3f32) {
         let mut light = room(edge);
         light.mesh.patches.retain(|p| p.face < 6);
         light.mesh.patches.iter_mut().for_each(|p| p.radiance = [radiance; 3]);

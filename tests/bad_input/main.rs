@@ -187,7 +187,7 @@ fn settings_are_shown_with_line_and_column() {
             &[Set("[transfer]\nrays = 4\n  sorce_share = 0.5\n")],
             "ingest",
             2,
-            "case.toml:4:3: unknown field `sorce_share`, expected `source_share` or `rays`",
+            "case.toml:4:3: unknown field `sorce_share`, expected one of `source_share`, `rays`, `link_tolerance`, `order`, `leaf_patches`, `shaft_share`, `receiver_tolerance`, `receiver_vertices`",
             "did you mean `source_share`?",
         ),
         case(
@@ -1455,7 +1455,7 @@ fn marks_that_appear_or_go_make_results_stale() {
 fn a_full_disk_leaves_earlier_results_whole() {
     for (stage, error) in [
         ("merge", "writing: ./work/.merge.part/plate.exr: File too large (os error 27)"),
-        ("transfer", "writing: ./work/.transfer.part/transfer.json: File too large (os error 27)"),
+        ("transfer", "writing: ./work/.transfer.part/sources.npy: File too large (os error 27)"),
         ("irradiance", "writing: ./work/.irradiance.part/irradiance.ply: File too large (os error 27)"),
         ("composite", "writing: ./work/.composite.part/augmented.exr: File too large (os error 27)"),
     ] {
