@@ -13,6 +13,7 @@ use crate::model::face::Face;
 use crate::probe::Environment;
 use crate::visibility::Bvh;
 use glam::Vec3;
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 
 /// The unclipped, empty picture of the scene.
@@ -40,6 +41,8 @@ const MAX_REFLECTANCE: f32 = 0.95;
 const ROUNDS: usize = 3;
 /// Rounds of refinement; each halves edges.
 const REFINEMENTS: usize = 4;
+/// Texels so near to a known emitter may hold its light: a pixel's width and one of resampling.
+const BESIDE: usize = 2;
 /// Below this share of the sphere, gaps are cracks of the model and not the sky.
 const MIN_OPEN: f64 = 0.005;
 
@@ -111,6 +114,7 @@ pub fn build(
     for m in meshes.iter_mut().flatten() {
         m.refine(|p| graded(settings.max_edge_m, p));
     }
+    let env = &without_known(env, &meshes, known);
     let mut stage = Stage::new(&meshes, env, plate, known);
     for _ in 0..REFINEMENTS {
         let sizes = stage.sizes(settings);
@@ -293,6 +297,34 @@ impl Stage {
         }
         figures
     }
+}
+
+/// The environment blind where it shows a known emitter or borders on one: a texel there holds light that is known already,
+/// and would put it a second time on what lies beside or behind.
+fn without_known(env: &Environment, meshes: &[Option<FaceMesh>], known: &Known) -> Environment {
+    let mut masked = env.clone();
+    if known.faces.is_empty() {
+        return masked;
+    }
+    let mesh = assemble(meshes);
+    let bvh = Bvh::new(&mesh.vertices, &mesh.triangles());
+    let shows: Vec<bool> = (0..env.weight.len())
+        .into_par_iter()
+        .map(|i| {
+            let hit = bvh.closest(env.origin[i], env.direction(i), 0.0, f32::MAX);
+            hit.is_some_and(|h| known.faces.contains_key(&mesh.patches[h.triangle as usize].face))
+        })
+        .collect();
+    let (w, h) = env.size();
+    for i in (0..w * h).filter(|&i| shows[i]) {
+        let (x, y) = (i % w, i / w);
+        for v in y.saturating_sub(BESIDE)..(y + BESIDE + 1).min(h) {
+            for u in 0..=2 * BESIDE {
+                masked.weight[v * w + (x + w + u - BESIDE) % w] = 0.0;
+            }
+        }
+    }
+    masked
 }
 
 /// All of a known sky, whatever hides from the probe: rays find what the model hides from each receiver.

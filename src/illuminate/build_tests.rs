@@ -87,3 +87,32 @@ fn refusals_say_why() {
         Problem::Setting { name: "max_edge_m", value: -1.0 }
     );
 }
+
+#[test]
+fn known_light_is_not_found_a_second_time_beside_it() {
+    // A lamp of 0.2 m hangs under the ceiling; the probe shows it wider than it is.
+    let mut faces = room::faces(4.0, 2.5, 4.0);
+    let at = |x: f64, z: f64| nalgebra::Point3::new(x, 2.4, z);
+    faces.push(Face {
+        name: "lamp".into(),
+        vertices: vec![at(0.0, 0.0), at(0.2, 0.0), at(0.2, 0.2), at(0.0, 0.2)],
+        gloss: None,
+    });
+    let origin = Vec3::new(0.3, 0.6, -0.4);
+    let lamp = Vec3::new(0.1, 2.4, 0.1);
+    let env = Environment::from_fn(256, origin, |d| {
+        let p = origin + d * ((lamp.y - origin.y) / d.y);
+        let near = d.y > 0.0 && (p.x - lamp.x).abs() < 0.13 && (p.z - lamp.z).abs() < 0.13;
+        [if near { 50.0 } else { 0.5 }; 3]
+    });
+    let known = Known { faces: BTreeMap::from([(6, [50.0; 3])]), sky: None };
+    let settings = config::Illuminate::default();
+    let light = build(&faces, &env, None, &known, &settings, |_| 0.0).unwrap().light;
+    let brightest = light.mesh.patches.iter().filter(|p| p.face != 6).map(|p| p.radiance[0]);
+    assert!(brightest.fold(0.0, f32::max) < 0.6, "nothing but the lamp shines");
+    let sent: f64 = (0..light.mesh.patches.len())
+        .filter(|&i| light.mesh.patches[i].face == 6)
+        .map(|i| power(&light.mesh, i))
+        .sum();
+    assert!((sent / (50.0 * 0.04) - 1.0).abs() < 1e-4, "{sent}");
+}
