@@ -42,6 +42,7 @@ struct Tile {
 
 const DEPTH_BIAS: f32 = 5e-4;
 const STEEPEST: f32 = 16.0;
+const EMPTY: f32 = 1.0;
 
 // Whether the occluder lies before the receiver's plane in the texel onto which the receiver falls.
 fn mask(receiver: Receiver, map: u32) -> bool {
@@ -58,7 +59,7 @@ fn mask(receiver: Receiver, map: u32) -> bool {
     }
     let texel = floor(p.xy);
     let depth = textureLoad(atlas, vec2<i32>(texel) + vec2<i32>(maps[map].corner), maps[map].layer, 0);
-    if depth >= 1.0 {
+    if depth >= EMPTY {
         return false;
     }
     let plane = maps[map].planes * vec4<f32>(receiver.normal, -dot(receiver.normal, position));
@@ -136,7 +137,9 @@ fn subtract(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_i
                     cluster = maps[map].cluster;
                     share = 0.0;
                 }
-                share += select(0.0, maps[map].weight, mask(receiver, map));
+                if mask(receiver, map) {
+                    share += maps[map].weight;
+                }
             }
         }
         workgroupBarrier();

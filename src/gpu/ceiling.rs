@@ -14,7 +14,7 @@ const LOOKUPS: u32 = 64;
 /// Runs, of which the fastest counts.
 const RUNS: usize = 5;
 
-/// Lookups of 2×2 texels of an atlas each second, neighbours at neighbouring texels, with nothing else to do.
+/// Lookups of texels of an atlas each second, neighbours at neighbouring texels, with nothing else to do.
 pub(super) fn lookups_per_second(device: &Device, atlas: &Atlas) -> Result<f64, Problem> {
     let kernel = device.kernel(shaders::LOOKUP_CEILING, "look")?;
     let work = Work {

@@ -174,7 +174,7 @@ impl<'a> RadianceTransfer<'a> {
         Ok(Timing { frame, plan, phases: clock.read(&self.device)? })
     }
 
-    /// Number of lookups of 2×2 texels that a frame with so many passes makes.
+    /// Number of lookups that a frame with so many passes makes.
     pub fn lookups(&self, occluder: &Occluder, passes: usize) -> Result<u64, Problem> {
         occluder.check()?;
         let outlook = self.plain.outlook(occluder);
@@ -184,8 +184,8 @@ impl<'a> RadianceTransfer<'a> {
         let inside = |map: &MapPlan, pixel: &shadow::Pixel| {
             let Some(projection) = map.projection else { return false };
             let q = projection.project(pixel.at(OFFSETS[map.offset]));
-            let p = q.truncate() / q.w - glam::Vec3::new(0.5, 0.5, 0.0);
-            let within = |t: f32| (0.0..(map.size - 1) as f32).contains(&t.floor());
+            let p = q.truncate() / q.w;
+            let within = |t: f32| (0.0..map.size as f32).contains(&t);
             q.w > 1e-6 && within(p.x) && within(p.y) && p.z > 0.0
         };
         let tiles = prepared.tiles.par_iter().zip(&lists).map(|(tile, maps)| {
@@ -196,7 +196,7 @@ impl<'a> RadianceTransfer<'a> {
         Ok(tiles.sum())
     }
 
-    /// Lookups of 2×2 texels each second that the device could make at best.
+    /// Lookups each second that the device could make at best.
     pub fn ceiling(&self) -> Result<f64, Problem> {
         Ok(ceiling::lookups_per_second(&self.device, &self.atlas)?)
     }
