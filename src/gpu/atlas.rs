@@ -175,7 +175,7 @@ mod tests {
         fn an_atlas_holds_as_many_as_fit(map_px in 16usize..300, cells in 1usize..4, layers in 1usize..3, halvings in 0u32..3) {
             let mut packing = Packing::new(Extent { map_px, cells, layers });
             let count = (0..).take_while(|_| packing.place(map_px >> halvings).is_some()).count();
-            prop_assert_eq!(count, cells * cells * layers << (2 * halvings));
+            prop_assert_eq!(count, (cells * cells * layers) << (2 * halvings));
         }
     }
 }

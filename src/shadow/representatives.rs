@@ -219,7 +219,7 @@ pub(crate) mod tests {
             let nodes = representatives(&tree, &moments, count);
             nodes.iter().map(|&n| tree.nodes[n as usize].leaves.clone()).collect()
         };
-        assert_eq!(leaves(1), [0..4]);
+        assert_eq!(leaves(1), std::slice::from_ref(&(0..4)));
         assert_eq!(leaves(2), [0..2, 2..4]);
         assert_eq!(leaves(3), [0..2, 2..3, 3..4]);
     }
