@@ -351,7 +351,7 @@ settings! {
         /// Clusters into which the sources are gathered, each with a shadow of its own (gibson §8); 0 for one a source.
         passes: usize = 50,
         /// Hard shadows (small shadow maps) of which each cluster's soft one is made, on average; 1 for the paper's one.
-        origins: usize = 4,
+        origins: usize = 8,
         /// Time for a frame, ms: no more passes than earlier frames say can be done in it; 0 for any.
         frame_ms: f64 = 0.0,
         /// Relative shadow error: no more passes than it needs by estimate; 0 for as many as `passes` says.

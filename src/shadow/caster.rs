@@ -209,7 +209,9 @@ mod tests {
         let turns = 2 * rings;
         for (i, j) in (0..=rings).flat_map(|i| (0..turns).map(move |j| (i, j))) {
             let (theta, phi) = (PI * i as f32 / rings as f32, TAU * j as f32 / turns as f32);
-            out.vertices.push(Vec3::new(theta.sin() * phi.cos(), theta.cos(), theta.sin() * phi.sin()) * 0.2);
+            // One place at each pole.
+            let sine = if i == 0 || i == rings { 0.0 } else { theta.sin() };
+            out.vertices.push(Vec3::new(sine * phi.cos(), theta.cos(), sine * phi.sin()) * 0.2);
         }
         for (i, j) in (0..rings).flat_map(|i| (0..turns).map(move |j| (i, j))) {
             let at = |i: u32, j: u32| i * turns + j % turns;

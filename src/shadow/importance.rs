@@ -31,15 +31,24 @@ struct Probe {
     light: f32,
 }
 
-/// Every source as the object sees it, with the light that it can take from it.
-pub(crate) fn seen(scene: &Scene, prepared: &Prepared, affected: &Affected, bounds: &Bounds) -> Vec<Seen> {
+/// Every source as the object sees it, with the light that it can take from it; and the mean distance from the object to
+/// where it takes it, in radii of the object: so much wider penumbrae are than as seen from it.
+pub(crate) fn seen(
+    scene: &Scene,
+    prepared: &Prepared,
+    affected: &Affected,
+    bounds: &Bounds,
+) -> (Vec<Seen>, f64) {
     let mut seen = vec![Seen::default(); scene.transfers.sources.len()];
     let probes = probes(scene, prepared, affected, bounds);
+    let distance: f64 =
+        probes.iter().map(|p| f64::from(p.position.distance(bounds.centre) / bounds.radius)).sum();
+    let distance = (distance / probes.len().max(1) as f64).max(1.0);
     let losses = Losses::new(scene, affected, bounds, &probes);
     for (&j, (lost, mean)) in affected.sources.iter().zip(losses.by_source()) {
         seen[j as usize] = Seen { weight: mean, lost, marked: true, ..as_seen(scene, j, bounds) };
     }
-    seen
+    (seen, distance)
 }
 
 /// Where a source lies as seen from the object.

@@ -31,6 +31,8 @@ pub(crate) struct Outlook<'a> {
     affected: Affected,
     seen: Vec<Seen>,
     moments: Moments,
+    /// Mean distance from the object to its shadow, radii of the object.
+    distance: f64,
 }
 
 /// What neither clusters nor origins make better: texels, the simplified object, transfers between vertices.
@@ -39,9 +41,9 @@ const REST: f64 = 0.02;
 impl<'a> Outlook<'a> {
     pub fn new(scene: &Scene<'a>, prepared: &Prepared, bounds: Bounds) -> Self {
         let affected = scene.transfers.affected(bounds.min, bounds.max);
-        let seen = seen(scene, prepared, &affected, &bounds);
+        let (seen, distance) = seen(scene, prepared, &affected, &bounds);
         let moments = Moments::new(&seen);
-        Self { scene: *scene, bounds, affected, seen, moments }
+        Self { scene: *scene, bounds, affected, seen, moments, distance }
     }
 
     /// Receiver patches on which the object's shadow may fall, ascending.
@@ -74,14 +76,21 @@ impl<'a> Outlook<'a> {
             marked: self.seen.iter().map(|s| s.marked).collect(),
             clusters: nodes.iter().map(|&n| tree.nodes[n as usize].leaves.clone()).collect(),
             maps: maps.collect(),
-            error: error(&found),
+            error: self.expected(&found),
         }
     }
 
     /// The relative shadow error to expect of so many passes.
     pub fn error(&self, passes: usize, origins: usize) -> f64 {
         let nodes = representatives(&self.scene.transfers.tree, &self.moments, passes);
-        error(&self.origins(&nodes, origins))
+        self.expected(&self.origins(&nodes, origins))
+    }
+
+    /// Relative shadow error that hard shadows in the place of penumbrae cost (see [`super::origins`]), and what else
+    /// there is.
+    fn expected(&self, origins: &[Origin]) -> f64 {
+        let square: f64 = origins.iter().map(|o| o.share * o.share * o.width).sum();
+        (square * self.distance).sqrt().hypot(REST)
     }
 
     fn origins(&self, nodes: &[u32], origins: usize) -> Vec<Origin> {
@@ -96,12 +105,6 @@ impl<'a> Outlook<'a> {
         };
         strata.origins(nodes, nodes.len() * origins.max(1))
     }
-}
-
-/// Relative shadow error that hard shadows in the place of penumbrae cost (see [`super::origins`]), and what else there
-/// is.
-fn error(origins: &[Origin]) -> f64 {
-    origins.iter().map(|o| o.share * o.share * o.width).sum::<f64>().sqrt().hypot(REST)
 }
 
 /// Fewest texels along a map: averaged over many, a texel's edges blur the shadow by a texel, which shows where the object
