@@ -64,7 +64,7 @@ pub const STAGES: &[Stage] = &[
     },
     Stage {
         name: "render",
-        version: 2,
+        version: 3,
         reads: &["ingest", "response", "merge", "calibrate", "model", "illuminate", "irradiance", "transfer"],
         about: "shade the object, evaluate the shadow method",
     },

@@ -29,7 +29,7 @@ fn radiance_transfer_agrees_with_the_reference() {
         let noise = reference.noise.unwrap();
         assert!(noise < 0.03, "{name}: the reference's own noise is {noise}");
         for (passes, bound, most_bias) in
-            [(10, 0.16, 0.04), (20, 0.11, 0.025), (50, 0.07, 0.0105), (200, 0.065, 0.01), (0, 0.065, 0.01)]
+            [(10, 0.17, 0.05), (20, 0.11, 0.025), (50, 0.06, 0.01), (200, 0.04, 0.01), (0, 0.03, 0.01)]
         {
             let fast = Render { passes, ..Default::default() };
             let found = removed_radiance(&scene, object, &fast).unwrap();
@@ -42,7 +42,7 @@ fn radiance_transfer_agrees_with_the_reference() {
             assert!(error <= bound, "{name}, {passes} passes: error {error}");
             // At 64 pixels a row the pixels at the foot of the box are as wide as the penumbra.
             assert!(
-                error <= 1.5 * expected.max(0.042),
+                error <= 1.5 * expected.max(0.025),
                 "{name}, {passes} passes: {error}, {expected} expected"
             );
             assert!(bias.abs() <= most_bias, "{name}, {passes} passes: bias {bias}");

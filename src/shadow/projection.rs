@@ -164,9 +164,17 @@ pub struct MapPlan {
 }
 
 /// Where in a pixel maps are looked up in turn, px from the centre: edges are smooth where the penumbra is narrower than
-/// a pixel (a rotated grid, each row and column once).
-pub const OFFSETS: [Vec2; 4] =
-    [Vec2::new(-0.375, -0.125), Vec2::new(0.125, -0.375), Vec2::new(0.375, 0.125), Vec2::new(-0.125, 0.375)];
+/// a pixel (each of eight rows and columns once).
+pub const OFFSETS: [Vec2; 8] = [
+    Vec2::new(0.0625, -0.1875),
+    Vec2::new(-0.0625, 0.1875),
+    Vec2::new(0.3125, 0.0625),
+    Vec2::new(-0.1875, -0.3125),
+    Vec2::new(-0.3125, 0.3125),
+    Vec2::new(-0.4375, -0.0625),
+    Vec2::new(0.1875, 0.4375),
+    Vec2::new(0.4375, -0.4375),
+];
 
 impl MapPlan {
     /// A map of `size` texels a side around the occluder.
