@@ -319,8 +319,11 @@ fn without_known(env: &Environment, meshes: &[Option<FaceMesh>], known: &Known) 
     for i in (0..w * h).filter(|&i| shows[i]) {
         let (x, y) = (i % w, i / w);
         for v in y.saturating_sub(BESIDE)..(y + BESIDE + 1).min(h) {
-            for u in 0..=2 * BESIDE {
-                masked.weight[v * w + (x + w + u - BESIDE) % w] = 0.0;
+            // Columns crowd together towards the poles.
+            let polar = std::f64::consts::PI * (v as f64 + 0.5) / h as f64;
+            let reach = ((BESIDE as f64 / polar.sin()).ceil() as usize).min(w / 2);
+            for u in 0..=2 * reach {
+                masked.weight[v * w + (x + w + u - reach) % w] = 0.0;
             }
         }
     }

@@ -156,7 +156,7 @@ pub(super) fn seen(field: &LightField, i: u32, p: &Point, coarse: bool) -> Seen 
                 (false, None) => FAR_LIGHT,
                 (false, Some(_)) => FAR,
             };
-            let whole = low >= height / 2.0 && away >= 0.0 || coarse;
+            let whole = low >= 0.7 * height && away >= 0.0 || coarse;
             if !whole || cluster.radius * cluster.radius > far * far * square {
                 return Seen::Near;
             }

@@ -135,7 +135,7 @@ fn artefacts_are_refused_with_file_and_cure() {
             &[Exr("work/merge/plate.exr", 320, 240, false)],
             "render",
             1,
-            "finding the shadow: size of the plate's camera: (640, 480) px, expected (320, 240) px",
+            "preparing the shadow method: size of the plate's camera: (640, 480) px, expected (320, 240) px",
             "run `insitu run --force --from illuminate`",
         ),
         case(

@@ -81,7 +81,7 @@ method = "raytrace"
 "#)],
             "render",
             2,
-            "case.toml:3:10: unknown variant `raytrace`, expected `raytraced` or `radiance-transfer`",
+            "case.toml:3:10: unknown variant `raytrace`, expected one of `raytraced`, `radiance-transfer`, `radiance-transfer-ldr`",
             "did you mean `raytraced`?",
         ),
         case(
