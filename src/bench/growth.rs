@@ -2,7 +2,7 @@
 
 use super::plot::{self, Axis, DISTINCT, Line, Panel};
 use super::subject::{exponent, transfer_settings};
-use crate::error::{Context as _, FileContext, Result};
+use crate::error::{Context as _, Result};
 use crate::printer::Printer;
 use crate::stage::{cpu_time_s, peak_memory_mib, reset_peak_memory};
 use crate::synthetic::{Lobby, lobby_of};
@@ -69,7 +69,6 @@ pub(super) fn print(pictures: Option<&Path>, printer: &Printer) -> Result<()> {
     ));
     printer.data(&format!("20,000 patches: {memory:.0} MiB of {MOST_MIB:.0} MiB"));
     if let Some(folder) = pictures {
-        std::fs::create_dir_all(folder).at("making a folder for plots", folder)?;
         let path = folder.join("growth.svg");
         draw(&path, &times, &memories)?;
         printer.data(&path.display().to_string());

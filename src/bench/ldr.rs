@@ -4,7 +4,7 @@ use super::statics::Static;
 use crate::artefact::json;
 use crate::composite::{composite, picture, write_png};
 use crate::config::{Render, ShadowMethod};
-use crate::error::{Context as _, FileContext, Result};
+use crate::error::{Context as _, Result};
 use crate::evaluate::display::flip;
 use crate::exposure::{Capture, decode};
 use crate::image::{Code, CodeImage, Image, RadianceImage};
@@ -100,7 +100,6 @@ pub(super) fn print(workspaces: &[Workspace], pictures: Option<&Path>, printer: 
             let row = subject.compare(&exact, &codes, &region);
             printer.data(&line(&subject.name, passes, &region, &row));
             if let (SHOWN, Some(folder)) = (passes, pictures) {
-                std::fs::create_dir_all(folder).at("making a folder for pictures", folder)?;
                 let path = folder.join(format!("ldr_{}.png", subject.name));
                 write_png(&path, &side_by_side(&exact, &codes, &region))?;
                 printer.data(&path.display().to_string());

@@ -69,6 +69,9 @@ pub fn bench(
     }
     let threads = std::thread::available_parallelism().map_or(1, |n| n.get());
     let settings = validate::settings_under(paths)?;
+    if let Some(folder) = pictures {
+        std::fs::create_dir_all(folder).at("making a folder for pictures", folder)?;
+    }
     for table in if tables.is_empty() { &USUAL } else { tables } {
         match table {
             Table::Passes => passes::print(&settings, frames, pictures, printer)?,

@@ -5,7 +5,7 @@ use super::subject::{LobbyTransfers, Subject};
 use super::{Static, spread};
 use crate::driver::run::{self, Range};
 use crate::driver::validate;
-use crate::error::{FileContext, Result};
+use crate::error::Result;
 use crate::printer::Printer;
 use crate::stage::Workspace;
 use std::path::{Path, PathBuf};
@@ -45,7 +45,6 @@ pub(super) fn print(
     let lobby = Subject::lobby(&made);
     curves.push((lobby.name.clone(), table(&lobby, frames, printer)?));
     if let Some(folder) = pictures {
-        std::fs::create_dir_all(folder).at("making a folder for plots", folder)?;
         let path = folder.join("passes.svg");
         draw(&path, &curves)?;
         printer.data(&path.display().to_string());
