@@ -13,15 +13,19 @@ use glam::{DVec3, Vec2, Vec3};
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 use std::f64::consts::TAU;
+use std::ops::Range;
 
 /// An origin of a cluster's light.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Origin {
     /// Index into the clusters.
     pub cluster: u32,
     pub at: ShadowOrigin,
     /// Its weight within the cluster; those of a cluster sum to 1.
     pub weight: f64,
+    /// Sources that it stands for, and its weight within those: less than 1 for a part of one source.
+    pub leaves: Range<u32>,
+    pub part: f64,
     /// Its share of all light that is lost; those of a frame sum to 1.
     pub share: f64,
     /// Angular width of what it stands for as seen from the object, rad.
@@ -55,6 +59,7 @@ struct Stratum {
     cluster: u32,
     piece: Piece,
     weight: f64,
+    part: f64,
     share: f64,
     width: f64,
     /// Breaks ties.
@@ -102,29 +107,41 @@ impl Strata<'_> {
         }
         let mut queue = BinaryHeap::with_capacity(most.min(1 << 16));
         let (mut number, mut left) = (0, 0.0);
-        let mut add = |queue: &mut BinaryHeap<Stratum>, left: &mut f64, cluster, piece, weight, share| {
+        let mut add = |queue: &mut BinaryHeap<Stratum>, left: &mut f64, stratum: Stratum| {
             number += 1;
-            let stratum = Stratum { cluster, piece, weight, share, width: self.width(piece), number };
+            let stratum = Stratum { width: self.width(stratum.piece), number, ..stratum };
             *left += stratum.cost();
             queue.push(stratum);
         };
         for (cluster, &node) in (0..).zip(clusters) {
-            add(&mut queue, &mut left, cluster, self.piece(node), 1.0, self.sum(node).lost / total);
+            let (piece, share) = (self.piece(node), self.sum(node).lost / total);
+            let stratum = Stratum { cluster, piece, weight: 1.0, part: 1.0, share, width: 0.0, number: 0 };
+            add(&mut queue, &mut left, stratum);
         }
         let paper = most <= clusters.len();
         while queue.len() < most && left > FINE * FINE {
             let Some(worst) = queue.pop() else { break };
             left -= worst.cost();
             for (piece, [weight, share]) in self.halves(worst.piece) {
+                let part = if matches!(worst.piece, Piece::Node(_)) { 1.0 } else { worst.part * weight };
                 let (weight, share) = (worst.weight * weight, worst.share * share);
-                add(&mut queue, &mut left, worst.cluster, piece, weight, share);
+                add(&mut queue, &mut left, Stratum { piece, weight, part, share, ..worst });
             }
         }
         let mut strata = queue.into_vec();
-        strata.sort_by_key(|s| (s.cluster, s.number));
+        strata.sort_by_key(|s| (s.cluster, self.leaves(s.piece).start, s.number));
         let origin = |s: Stratum| {
             let at = if paper { self.strongest(s.piece) } else { self.middle(s.piece) };
-            Origin { cluster: s.cluster, at, weight: s.weight, share: s.share, width: s.width }
+            let leaves = self.leaves(s.piece);
+            Origin {
+                cluster: s.cluster,
+                at,
+                weight: s.weight,
+                leaves,
+                part: s.part,
+                share: s.share,
+                width: s.width,
+            }
         };
         strata.into_iter().map(origin).collect()
     }
@@ -144,6 +161,13 @@ impl Strata<'_> {
                 [false, true] => node = children[1],
                 _ => return Piece::Node(node),
             }
+        }
+    }
+
+    fn leaves(&self, piece: Piece) -> Range<u32> {
+        match piece {
+            Piece::Node(node) => self.tree.nodes[node as usize].leaves.clone(),
+            Piece::Triangle(source, _) | Piece::Sector(source, ..) => source..source + 1,
         }
     }
 
@@ -345,7 +369,7 @@ mod tests {
     #[test]
     fn one_origin_lies_at_the_strongest_source() {
         let (light, sources, seen) = light(8);
-        let [one] = origins(&light, &sources, &seen, &[0], 1)[..] else { panic!("one origin a cluster") };
+        let [one] = &origins(&light, &sources, &seen, &[0], 1)[..] else { panic!("one origin a cluster") };
         let ShadowOrigin::Point(p) = one.at else { panic!("a near source") };
         assert!(p.distance(light.mesh.centroid(7)) < 1e-3);
     }

@@ -16,7 +16,9 @@ pub(crate) struct Plan {
     pub sources: usize,
     /// By source, whether it is one of them.
     pub marked: Vec<bool>,
-    /// Sources of each cluster, as ranges of the source set, ascending.
+    /// Number of passes: representative sources.
+    pub passes: usize,
+    /// Sources of each cluster, as ranges of the source set, ascending: the passes, or the parts of them that the maps stand for.
     pub clusters: Vec<Range<u32>>,
     /// Ascending by cluster.
     pub maps: Vec<MapPlan>,
@@ -56,26 +58,35 @@ impl<'a> Outlook<'a> {
         self.affected.sources.len()
     }
 
-    /// At most `passes` clusters (0: one a source) with `origins` maps each on average.
-    pub fn plan(&self, passes: usize, origins: usize, map_px: usize) -> Plan {
+    /// At most `passes` clusters (0: one a source) with `origins` maps each on average. `parted`: every map takes what its
+    /// part of the cluster sends, not a share of the whole.
+    pub fn plan(&self, passes: usize, origins: usize, parted: bool, map_px: usize) -> Plan {
         let tree = &self.scene.transfers.tree;
         let nodes = representatives(tree, &self.moments, passes);
         let found = self.origins(&nodes, origins);
+        let mut clusters: Vec<Range<u32>> = if parted {
+            found.iter().map(|o| o.leaves.clone()).collect()
+        } else {
+            nodes.iter().map(|&n| tree.nodes[n as usize].leaves.clone()).collect()
+        };
+        clusters.dedup();
+        let mut part = 0;
         let maps = (0..).zip(&found).map(|(i, o)| {
-            MapPlan::new(
-                o.cluster,
-                o.at,
-                o.weight as f32,
-                i % OFFSETS.len(),
-                &self.bounds,
-                map_size(map_px, o),
-            )
+            let (cluster, weight) = if parted {
+                part += usize::from(clusters[part] != o.leaves);
+                (part as u32, o.part)
+            } else {
+                (o.cluster, o.weight)
+            };
+            MapPlan::new(cluster, o.at, weight as f32, i % OFFSETS.len(), &self.bounds, map_size(map_px, o))
         });
+        let maps = maps.collect();
         Plan {
             sources: self.sources(),
             marked: self.seen.iter().map(|s| s.marked).collect(),
-            clusters: nodes.iter().map(|&n| tree.nodes[n as usize].leaves.clone()).collect(),
-            maps: maps.collect(),
+            passes: nodes.len(),
+            clusters,
+            maps,
             error: self.expected(&found),
         }
     }

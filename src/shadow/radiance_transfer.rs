@@ -19,7 +19,7 @@ use wide::f32x8;
 /// Texels of shadow maps that are held at a time.
 const BATCH_TEXELS: usize = 24 << 20;
 /// Columns of transfers that are held at a time.
-const BATCH_CLUSTERS: usize = 256;
+const BATCH_CLUSTERS: usize = 512;
 
 /// Rays by which a tile is probed.
 const RAY_PROBES: usize = 8;
@@ -102,7 +102,7 @@ impl<'a> RadianceTransfer<'a> {
     }
 
     pub(crate) fn plan(&self, outlook: &Outlook, passes: usize) -> Plan {
-        outlook.plan(passes, self.origins, self.map_px)
+        outlook.plan(passes, self.origins, self.ldr.is_none(), self.map_px)
     }
 
     /// The relative shadow error to expect of so many passes.
@@ -188,7 +188,7 @@ impl<'a> RadianceTransfer<'a> {
             codes: None,
             noise: None,
             sources_used: plan.sources,
-            passes: plan.clusters.len(),
+            passes: plan.passes,
             shadow_maps: plan.maps.len(),
             expected_error: Some(plan.error),
             left_out_share: self.scene.transfers.left_out_share,
