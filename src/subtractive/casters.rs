@@ -1,0 +1,56 @@
+//! A shadow map of the object for each light (decoro2008, §2 step 2b; the paper has shadow volumes).
+
+use super::{Light, Surface};
+use crate::shadow::{Bounds, MapPlan, Occluder, ShadowMap, ShadowOrigin, rasterise};
+use crate::visibility::Bvh;
+use glam::Vec3;
+use rayon::prelude::*;
+
+/// What an object hides from each light.
+pub struct Casters {
+    plans: Vec<MapPlan>,
+    maps: Vec<Option<ShadowMap>>,
+    /// For lights too near for a map.
+    rays: Option<Bvh>,
+}
+
+impl Casters {
+    /// Draws a map of `size` texels a side for each light.
+    pub fn draw(lights: &[Light], occluder: &Occluder, size: usize) -> Self {
+        let bounds = Bounds::of(occluder);
+        let plan = |light: &Light| MapPlan::new(0, light.origin, 1.0, 0, &bounds, size);
+        let plans: Vec<MapPlan> = lights.iter().map(plan).collect();
+        let draw = |plan: &MapPlan| plan.projection.map(|p| rasterise(&p, occluder, size));
+        let maps: Vec<Option<ShadowMap>> = plans.par_iter().map(draw).collect();
+        let rays =
+            maps.iter().any(Option::is_none).then(|| Bvh::new(&occluder.vertices, &occluder.triangles));
+        Self { plans, maps, rays }
+    }
+
+    /// Number of maps drawn.
+    pub fn maps(&self) -> usize {
+        self.maps.iter().flatten().count()
+    }
+
+    /// Lights from which the object may hide something in a sphere (m).
+    pub fn near(&self, centre: Vec3, radius: f32) -> Vec<usize> {
+        (0..self.plans.len()).filter(|&i| self.plans[i].may_shadow(centre, radius)).collect()
+    }
+
+    /// Whether the object hides a light, in a unit direction, from a surface. A triangle that is turned away while its
+    /// smooth normal is not counts as lit: the maps would show the triangles' edges there.
+    pub fn hide(&self, light: usize, surface: &Surface, direction: Vec3) -> bool {
+        if surface.face_normal.dot(direction) <= 0.0 {
+            return false;
+        }
+        match (&self.maps[light], &self.rays, self.plans[light].origin) {
+            (Some(map), ..) => map.blocked(surface.position, surface.face_normal),
+            (None, Some(object), ShadowOrigin::Point(origin)) => object.occluded(surface.position, origin),
+            (None, Some(object), ShadowOrigin::Direction(direction)) => {
+                let from = surface.position + surface.face_normal * 1e-4;
+                object.any_hit(from, direction, 0.0, f32::INFINITY)
+            }
+            (None, None, _) => false,
+        }
+    }
+}
