@@ -292,6 +292,57 @@ pub enum ShadowMethod {
     /// Lights of the environment at the object's place and a coarse shadow buffer (decoro2008); on the CPU whatever the
     /// back end.
     Subtractive,
+    /// Prefiltered slices before rectangular lights (eisemann2006); on the CPU whatever the back end.
+    OcclusionTextures,
+}
+
+/// How the method `occlusion-textures` prefilters its textures.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum OcclusionFilter {
+    /// Pyramid, trilinear lookups.
+    Mipmap,
+    /// Means over boxes of powers of two at every place.
+    NBuffers,
+    /// Exact means over any box.
+    SummedArea,
+}
+
+impl OcclusionFilter {
+    /// From the coarsest to the exact one.
+    pub const ALL: [Self; 3] = [Self::Mipmap, Self::NBuffers, Self::SummedArea];
+}
+
+/// How the method `occlusion-textures` combines what its slices block.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Combination {
+    /// As independent.
+    Product,
+    /// As disjoint.
+    Sum,
+    /// As nested.
+    Maximum,
+}
+
+impl Combination {
+    /// The paper's, then those it is compared with.
+    pub const ALL: [Self; 3] = [Self::Product, Self::Sum, Self::Maximum];
+}
+
+/// A rectangular light, in the grid's frame.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AreaLight {
+    /// A corner, m.
+    pub corner_m: [f64; 3],
+    /// From the corner along one side to the next corner, m.
+    pub side_u_m: [f64; 3],
+    /// Along the other side. Where no surface of the model lies on the rectangle, it shines along u × v.
+    pub side_v_m: [f64; 3],
+    /// Plate units; without it, that of the surface that it lies on.
+    #[serde(default)]
+    pub radiance: Option<[f32; 3]>,
 }
 
 /// How the method `subtractive` finds the lights that stand for an environment.
@@ -384,6 +435,18 @@ settings! {
         pixels_per_sample: usize = 16,
         /// The object of the method `subtractive` is lit light by light instead, to compare.
         additive: bool = false,
+        /// Rectangular lights of the method `occlusion-textures`; where none is given, those found in the light model.
+        area_lights: Vec<AreaLight> = Vec::new(),
+        /// Slices into which it cuts the space before each, 1 to 16.
+        slices: usize = 8,
+        /// Side of its occlusion textures, texels; a power of two.
+        occlusion_px: usize = 512,
+        /// How these are prefiltered.
+        occlusion_filter: OcclusionFilter = OcclusionFilter::SummedArea,
+        /// How slices are combined.
+        combination: Combination = Combination::Product,
+        /// Slices are projected on the next one too, so that thin surfaces do not leak.
+        close_leaks: bool = true,
         /// Seed of all random choices.
         seed: u64 = 1,
     }

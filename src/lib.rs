@@ -11,8 +11,9 @@
 //! ```
 //!
 //! One module a stage, in the order of the data: [`exposure`] (ingest), [`response`], [`merge`], [`calibrate`], [`probe`],
-//! [`model`], [`illuminate`], [`irradiance`], [`transfer`], [`render`] with [`shadow`] and [`subtractive`], [`composite`], [`evaluate`]. What
-//! several of them need: [`image`], [`camera`], [`visibility`], [`sh`], [`least_squares`], [`vision`] (OpenCV), [`gpu`].
+//! [`model`], [`illuminate`], [`irradiance`], [`transfer`], [`render`] with [`shadow`], [`subtractive`] and [`occlusion`],
+//! [`composite`], [`evaluate`]. What several of them need: [`image`], [`camera`], [`visibility`], [`sh`], [`least_squares`],
+//! [`vision`] (OpenCV), [`gpu`].
 //! What joins them: [`config`] (`pipeline.toml`), [`annotations`], [`artefact`] (files between stages), [`stage`] (the table
 //! of stages and how one runs), [`driver`] (the program `insitu`). Only [`printer`] prints.
 //!
@@ -32,6 +33,9 @@
 //! - **gibson**: Gibson, Cook, Howard, Hubbold: Rapid Shadow Generation in Real-World Lighting Environments, EGSR 2003.
 //! - **tutorial**: Gibson, Chalmers: Photorealistic Augmented Reality, Eurographics 2003 tutorial.
 //! - **decoro2008**: DeCoro, Rusinkiewicz: Subtractive Shadows: A Flexible Framework for Shadow Level of Detail, JGT 13(1), 2008.
+//! - **eisemann2006**: Eisemann, Décoret: Plausible Image Based Soft Shadows Using Occlusion Textures, SIBGRAPI 2006.
+//! - Crow: Summed-Area Tables for Texture Mapping, SIGGRAPH 1984.
+//! - Décoret: N-Buffers for Efficient Depth Map Query, Eurographics 2005.
 //! - Agarwal, Ramamoorthi, Belongie, Jensen: Structured Importance Sampling of Environment Maps, SIGGRAPH 2003.
 //! - Debevec, Malik: Recovering High Dynamic Range Radiance Maps from Photographs, SIGGRAPH 1997.
 //! - Debevec: Rendering Synthetic Objects into Real Scenes, SIGGRAPH 1998.
@@ -58,6 +62,7 @@ pub mod irradiance;
 pub mod least_squares;
 pub mod merge;
 pub mod model;
+pub mod occlusion;
 pub mod printer;
 pub mod probe;
 pub mod render;

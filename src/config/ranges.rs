@@ -91,6 +91,8 @@ const RANGES: &[(&str, &str, Range)] = &[
     ("render", "rays", From(2.0, 1e6)),
     ("render", "lights", From(1.0, 100_000.0)),
     ("render", "pixels_per_sample", From(1.0, 1024.0)),
+    ("render", "slices", From(1.0, 16.0)),
+    ("render", "occlusion_px", From(16.0, 4096.0)),
     ("composite", "exposure_ev", From(-30.0, 30.0)),
 ];
 

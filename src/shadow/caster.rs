@@ -22,10 +22,11 @@ pub struct Caster {
 }
 
 impl Caster {
-    /// What the method that the settings name looks at: rays see the whole object.
+    /// What the method that the settings name looks at.
     pub fn of(occluder: &Occluder, settings: &Render) -> Self {
         match settings.method {
-            ShadowMethod::Raytraced => Self::new(occluder, 0),
+            // Rays see the whole object, and slices cost the same whatever it has.
+            ShadowMethod::Raytraced | ShadowMethod::OcclusionTextures => Self::new(occluder, 0),
             ShadowMethod::RadianceTransfer
             | ShadowMethod::RadianceTransferLdr
             | ShadowMethod::Subtractive => Self::new(occluder, settings.caster_triangles),

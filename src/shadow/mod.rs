@@ -24,7 +24,7 @@ use crate::illuminate::patch::LightModel;
 use crate::image::{CodeImage, RadianceImage};
 use crate::response::Response;
 use crate::transfer::{SourceKind, Transfers};
-use crate::{error, gpu};
+use crate::{error, gpu, occlusion};
 use glam::Vec3;
 
 pub use caster::Caster;
@@ -34,6 +34,7 @@ pub use radiance_transfer::RadianceTransfer;
 #[cfg(test)]
 pub(crate) use raster::{DEPTH_BIAS, STEEPEST};
 pub use raster::{EMPTY, ShadowMap, rasterise};
+pub(crate) use raster::{Point, fragments};
 pub use raytraced::raytraced;
 pub use receivers::{Receiver, Receivers};
 pub use session::{Frame, Session};
@@ -133,6 +134,9 @@ pub enum Problem {
     /// No environment to take lights from.
     #[error("no light arrives at the object's place")]
     Dark,
+    /// No rectangular light.
+    #[error(transparent)]
+    Rectangles(#[from] occlusion::Problem),
     /// The graphics processor.
     #[error(transparent)]
     Gpu(#[from] gpu::Problem),
@@ -154,6 +158,7 @@ impl error::Problem for Problem {
                 "check that the object does not stand inside something, and the light that `illuminate` found"
                     .into()
             }
+            Self::Rectangles(problem) => problem.hint(),
             Self::Gpu(problem) => problem.hint(),
         }
     }

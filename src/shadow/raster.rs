@@ -36,8 +36,9 @@ pub fn rasterise(projection: &Projection, occluder: &Occluder, size: usize) -> S
 
 const SUBTEXELS: i64 = 256;
 
+/// A projected vertex.
 #[derive(Clone, Copy)]
-struct Point {
+pub(crate) struct Point {
     x: i64,
     y: i64,
     depth: f32,
@@ -47,8 +48,13 @@ impl Point {
     fn new(projection: &Projection, v: Vec3) -> Self {
         let q = projection.project(v);
         let inverse = 1.0 / q.w;
-        let raster = |value: f32| rounded(value * inverse * SUBTEXELS as f32);
-        Self { x: raster(q.x), y: raster(q.y), depth: q.z * inverse }
+        Self::at(q.x * inverse, q.y * inverse, q.z * inverse)
+    }
+
+    /// Column and row, texels, and a value that is affine over the map.
+    pub fn at(x: f32, y: f32, depth: f32) -> Self {
+        let raster = |value: f32| rounded(value * SUBTEXELS as f32);
+        Self { x: raster(x), y: raster(y), depth }
     }
 }
 
@@ -59,7 +65,12 @@ fn rounded(value: f32) -> i64 {
     if value.abs() < 4_194_304.0 { (value + ONES - ONES) as i64 } else { value as i64 }
 }
 
-fn triangle([a, mut b, mut c]: [Point; 3], size: usize, depth: &mut [f32]) {
+fn triangle(points: [Point; 3], size: usize, depth: &mut [f32]) {
+    fragments(points, size, |texel, z| depth[texel] = depth[texel].min(z.clamp(0.0, 1.0)));
+}
+
+/// Calls `visit` with the index and the depth of each texel of a `size`² map whose centre a triangle covers.
+pub(crate) fn fragments([a, mut b, mut c]: [Point; 3], size: usize, mut visit: impl FnMut(usize, f32)) {
     // Texels whose centres lie in the bounding box.
     let first = |least: i64| ((least - SUBTEXELS / 2 + SUBTEXELS - 1).div_euclid(SUBTEXELS)).max(0);
     let last = |most: i64| (most - SUBTEXELS / 2).div_euclid(SUBTEXELS).min(size as i64 - 1);
@@ -80,12 +91,11 @@ fn triangle([a, mut b, mut c]: [Point; 3], size: usize, depth: &mut [f32]) {
     for y in y0..=y1 {
         let centre = (x0 * SUBTEXELS + SUBTEXELS / 2, y * SUBTEXELS + SUBTEXELS / 2);
         let mut e = edges.map(|edge| edge.at(centre.0, centre.1));
-        let row = &mut depth[y as usize * size..][x0 as usize..=x1 as usize];
-        for texel in row {
+        let row = y as usize * size;
+        for texel in row + x0 as usize..=row + x1 as usize {
             if e.iter().zip(&edges).all(|(e, edge)| e + edge.bias >= 0) {
                 let (wb, wc) = (e[1] as f32 * inverse, e[2] as f32 * inverse);
-                let z = a.depth + (b.depth - a.depth) * wb + (c.depth - a.depth) * wc;
-                *texel = texel.min(z.clamp(0.0, 1.0));
+                visit(texel, a.depth + (b.depth - a.depth) * wb + (c.depth - a.depth) * wc);
             }
             for k in 0..3 {
                 e[k] += edges[k].dx;

@@ -5,6 +5,7 @@ use super::plan::Outlook;
 use super::{Occluder, Problem, RadianceTransfer, Removed, Scene, raytraced};
 use crate::config::{Backend, Render, ShadowMethod};
 use crate::gpu;
+use crate::occlusion::PlateShadow;
 use crate::subtractive::Subtractive;
 use std::time::Instant;
 
@@ -21,6 +22,7 @@ enum Method<'a> {
     Cpu(Box<RadianceTransfer<'a>>),
     Gpu(Box<gpu::RadianceTransfer<'a>>),
     Subtractive(Box<Subtractive<'a>>),
+    Occlusion(Box<PlateShadow<'a>>),
 }
 
 /// A frame of a session.
@@ -39,6 +41,9 @@ impl<'a> Session<'a> {
             (ShadowMethod::Raytraced, _) => Method::Raytraced,
             (ShadowMethod::Subtractive, _) => {
                 Method::Subtractive(Box::new(Subtractive::prepare(scene, settings)?))
+            }
+            (ShadowMethod::OcclusionTextures, _) => {
+                Method::Occlusion(Box::new(PlateShadow::prepare(scene, settings)?))
             }
             // Codes are subtracted on the CPU alone.
             (ShadowMethod::RadianceTransfer, Backend::Cpu) | (ShadowMethod::RadianceTransferLdr, _) => {
@@ -59,6 +64,7 @@ impl<'a> Session<'a> {
         let removed = match &mut self.method {
             Method::Raytraced => raytraced(&self.scene, occluder, settings)?,
             Method::Subtractive(method) => method.frame(occluder)?,
+            Method::Occlusion(method) => method.frame(occluder)?,
             Method::Cpu(method) => {
                 occluder.check()?;
                 let outlook = method.outlook(occluder);

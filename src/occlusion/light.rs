@@ -1,0 +1,50 @@
+//! A rectangular light and the frame that its slices lie in.
+
+use crate::transfer::form_factor;
+use glam::{Vec2, Vec3};
+
+/// A rectangle of even radiance that sends light from one side.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RectangularLight {
+    /// Its middle, world, m.
+    pub centre: Vec3,
+    /// From the middle to the middles of two adjoining sides, m; at right angles. Light leaves along the first × the second.
+    pub half: [Vec3; 2],
+    /// Plate units.
+    pub radiance: [f32; 3],
+}
+
+impl RectangularLight {
+    /// Unit vector along which light leaves.
+    pub fn normal(&self) -> Vec3 {
+        self.half[0].cross(self.half[1]).normalize_or_zero()
+    }
+
+    /// m².
+    pub fn area(&self) -> f32 {
+        4.0 * self.half[0].cross(self.half[1]).length()
+    }
+
+    /// Point of the rectangle for one of the unit square, m.
+    pub fn at(&self, u: Vec2) -> Vec3 {
+        self.centre + self.half[0] * (2.0 * u.x - 1.0) + self.half[1] * (2.0 * u.y - 1.0)
+    }
+
+    /// Counter-clockwise as seen from where it shines, m.
+    pub fn corners(&self) -> [Vec3; 4] {
+        [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)].map(|(x, y)| self.at(Vec2::new(x, y)))
+    }
+
+    /// Irradiance on a surface with nothing between, plate units.
+    pub fn irradiance(&self, position: Vec3, normal: Vec3) -> [f32; 3] {
+        let share = form_factor::polygon(position, normal, &self.corners());
+        self.radiance.map(|l| std::f32::consts::PI * share * l)
+    }
+
+    /// Column and row in half sides (the rectangle spans −1..1) and distance from its plane, m, positive where it shines.
+    pub fn from_world(&self, p: Vec3) -> Vec3 {
+        let to = p - self.centre;
+        let [u, v] = self.half.map(|h| to.dot(h) / h.length_squared());
+        Vec3::new(u, v, to.dot(self.normal()))
+    }
+}

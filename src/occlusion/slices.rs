@@ -1,0 +1,176 @@
+//! Slices parallel to the light (eisemann2006, §3.4), all drawn in one pass: bit k of a texel says that something lies in
+//! slice k.
+
+use super::Frustum;
+use crate::shadow::{Point, fragments};
+use glam::Vec3;
+use rayon::prelude::*;
+
+/// Bits of a texel.
+pub const MOST_SLICES: usize = 16;
+/// What lies nearer to the light than this, m, is the light itself or the wall that it is set in.
+const NEAR_M: f32 = 0.01;
+/// Triangles drawn at a time.
+const BATCH: usize = 8192;
+
+/// Depths from the light's plane, m, ascending: slice k spans `planes[k]..planes[k + 1]`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Slices {
+    planes: Vec<f32>,
+}
+
+impl Slices {
+    /// Slices of equal depth from `near` to `far`, m.
+    pub fn uniform(near: f32, far: f32, count: usize) -> Self {
+        Self { planes: cuts(near.max(NEAR_M), far.max(NEAR_M), count.clamp(1, MOST_SLICES)).collect() }
+    }
+
+    /// Slices of equal depth over an object, from `object[0]` to `object[1]`, and one each for what lies before it and
+    /// behind it as far as `far` (m), if there is room: the shadow of one object needs its own slices alone (the paper's
+    /// future work).
+    pub fn around(object: [f32; 2], far: f32, count: usize) -> Self {
+        let count = count.clamp(1, MOST_SLICES);
+        let near = object[0].max(NEAR_M);
+        let end = object[1].max(near).min(far);
+        let room = 1e-3 * far;
+        let (before, behind) = (near > NEAR_M + room, end + room < far);
+        let rest = usize::from(before) + usize::from(behind);
+        if end <= near || count <= rest {
+            return Self::uniform(NEAR_M, far, count);
+        }
+        let mut planes = Vec::with_capacity(count + 1);
+        planes.extend(before.then_some(NEAR_M));
+        planes.extend(cuts(near, end, count - rest));
+        planes.extend(behind.then_some(far));
+        Self { planes }
+    }
+
+    /// Number of slices.
+    pub fn count(&self) -> usize {
+        self.planes.len() - 1
+    }
+
+    /// Depth of the side of a slice that is farther from the light, onto which all in it is projected, m.
+    pub fn plane(&self, slice: usize) -> f32 {
+        self.planes[slice + 1]
+    }
+
+    /// How much a slice counts at a depth: nothing for receivers in it or before it, linearly more behind it, all from one
+    /// slice's depth on (§3.4, "self shadowing"); so that no receiver is hidden by its own surface, nor jumps where it
+    /// crosses a plane. Where slices differ the thinner of this one and the next is meant.
+    pub fn weight(&self, slice: usize, depth: f32) -> f32 {
+        let end = self.planes[slice + 1];
+        let next = self.planes.get(slice + 2).map_or(f32::INFINITY, |p| p - end);
+        let thickness = (end - self.planes[slice]).min(next);
+        if depth <= end { 0.0 } else { ((depth - end) / thickness).min(1.0) }
+    }
+
+    fn holding(&self, depth: f32) -> Option<usize> {
+        let above = self.planes.iter().position(|p| *p > depth)?;
+        above.checked_sub(1)
+    }
+}
+
+fn cuts(from: f32, to: f32, count: usize) -> impl Iterator<Item = f32> {
+    (0..=count).map(move |i| from + (to - from) * i as f32 / count as f32)
+}
+
+/// What lies in each slice, by texel.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Mask {
+    /// Side, texels.
+    pub size: usize,
+    /// Number of slices.
+    pub slices: usize,
+    /// Row-major; bit k for slice k.
+    pub bits: Vec<u16>,
+}
+
+impl Mask {
+    /// Draws triangles (world, m), also edge-on and from behind: every surface blocks light.
+    pub fn draw(
+        frustum: &Frustum,
+        slices: &Slices,
+        size: usize,
+        vertices: &[Vec3],
+        triangles: &[[u32; 3]],
+    ) -> Self {
+        let points: Vec<Vec3> = vertices.par_iter().map(|&v| frustum.light.from_world(v)).collect();
+        let empty = || Self { size, slices: slices.count(), bits: vec![0; size * size] };
+        let draw = |mut mask: Self, part: &[[u32; 3]]| {
+            for t in part {
+                mask.triangle(frustum, slices, t.map(|v| points[v as usize]));
+            }
+            mask
+        };
+        let parts = triangles.par_chunks(BATCH).fold(empty, draw);
+        parts.reduce_with(|a, b| a.with(&b)).unwrap_or_else(empty)
+    }
+
+    fn triangle(&mut self, frustum: &Frustum, slices: &Slices, corners: [Vec3; 3]) {
+        let near = slices.planes[0];
+        // 1 / (z + behind) is affine over the texture.
+        let point = |q: Vec3| {
+            let at = frustum.texel(q, self.size);
+            Point::at(at.x, at.y, 1.0 / (q.z + frustum.behind))
+        };
+        let (low, high) = corners.iter().fold((f32::MAX, f32::MIN), |(a, b), q| (a.min(q.z), b.max(q.z)));
+        let bit = |depth: f32| slices.holding(depth).map_or(0, |k| 1 << k);
+        let whole = slices.holding(low) == slices.holding(high) && low >= near;
+        let flat: u16 = bit(low);
+        let (polygon, sides) = beyond(corners, near);
+        for i in 2..sides {
+            let points = [polygon[0], polygon[i - 1], polygon[i]].map(point);
+            if whole {
+                fragments(points, self.size, |texel, _| self.bits[texel] |= flat);
+            } else {
+                fragments(points, self.size, |texel, w| {
+                    self.bits[texel] |= bit((1.0 / w - frustum.behind).clamp(low, high));
+                });
+            }
+        }
+    }
+
+    /// Both.
+    pub fn with(mut self, other: &Self) -> Self {
+        self.bits.iter_mut().zip(&other.bits).for_each(|(a, b)| *a |= b);
+        self
+    }
+
+    /// Each slice projected on the next one too, which closes the gaps where a thin surface passes from slice to slice
+    /// (§3.4, "light leaks").
+    pub fn closed(mut self) -> Self {
+        let all = (1u32 << self.slices) - 1;
+        self.bits.iter_mut().for_each(|b| *b |= (*b << 1) & all as u16);
+        self
+    }
+
+    /// Whether something lies in a slice.
+    pub fn holds(&self, slice: usize) -> bool {
+        self.bits.iter().any(|b| b >> slice & 1 == 1)
+    }
+
+    /// 1 where a slice blocks.
+    pub(super) fn texels(&self, slice: usize) -> impl Iterator<Item = u16> + '_ {
+        self.bits.iter().map(move |b| b >> slice & 1)
+    }
+}
+
+/// The part of a triangle at depths from `near` on: a polygon and its number of corners.
+fn beyond(corners: [Vec3; 3], near: f32) -> ([Vec3; 4], usize) {
+    let (mut out, mut count) = ([Vec3::ZERO; 4], 0);
+    let mut push = |q| {
+        out[count] = q;
+        count += 1;
+    };
+    for i in 0..3 {
+        let (a, b) = (corners[i], corners[(i + 1) % 3]);
+        if a.z >= near {
+            push(a);
+        }
+        if (a.z >= near) != (b.z >= near) {
+            push(a.lerp(b, (near - a.z) / (b.z - a.z)));
+        }
+    }
+    (out, count)
+}
