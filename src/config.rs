@@ -438,15 +438,15 @@ settings! {
         /// Rectangular lights of the method `occlusion-textures`; where none is given, those found in the light model.
         area_lights: Vec<AreaLight> = Vec::new(),
         /// Slices into which it cuts the space before each, 1 to 16.
-        slices: usize = 8,
+        slices: usize = 16,
         /// Side of its occlusion textures, texels; a power of two.
         occlusion_px: usize = 512,
         /// How these are prefiltered.
         occlusion_filter: OcclusionFilter = OcclusionFilter::SummedArea,
         /// How slices are combined.
         combination: Combination = Combination::Product,
-        /// Slices are projected on the next one too, so that thin surfaces do not leak.
-        close_leaks: bool = true,
+        /// Slices are projected on the next one too: thin surfaces leak less, penumbrae of others grow too dark.
+        close_leaks: bool = false,
         /// Seed of all random choices.
         seed: u64 = 1,
     }

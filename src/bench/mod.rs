@@ -9,6 +9,7 @@ mod gpu;
 mod growth;
 mod intensity;
 mod ldr;
+mod occlusion;
 mod passes;
 mod plot;
 mod statics;
@@ -51,6 +52,9 @@ pub enum Table {
     /// Subtractive and additive shadows by lights and sampling detail (decoro2008, Figures 3 and 5), on the environments of
     /// a folder, with a plot.
     Subtractive,
+    /// Occlusion textures by filter, by rule of combination, by triangles and by the light's size (eisemann2006, Figures 2
+    /// and 3), with a plot.
+    Occlusion,
 }
 
 /// What a plain `insitu bench` prints.
@@ -88,6 +92,7 @@ pub fn bench(
             Table::Breakdown => breakdown::print(&settings, printer)?,
             Table::Truth => truth::print(&settings, pictures, printer)?,
             Table::Subtractive => subtractive::print(&settings, environments, pictures, printer)?,
+            Table::Occlusion => occlusion::print(&settings, frames, pictures, printer)?,
             Table::Stages | Table::Frames => {
                 for (file, workspace) in settings.iter().zip(ready(&settings, printer)?) {
                     printer.data(&format!("{}: {threads} threads; times in ms", validate::name(file)));

@@ -1,7 +1,7 @@
 //! A rectangular light and the frame that its slices lie in.
 
 use crate::transfer::form_factor;
-use glam::{Vec2, Vec3};
+use glam::{Affine3A, Mat3, Vec2, Vec3};
 
 /// A rectangle of even radiance that sends light from one side.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -41,10 +41,11 @@ impl RectangularLight {
         self.radiance.map(|l| std::f32::consts::PI * share * l)
     }
 
-    /// Column and row in half sides (the rectangle spans −1..1) and distance from its plane, m, positive where it shines.
-    pub fn from_world(&self, p: Vec3) -> Vec3 {
-        let to = p - self.centre;
-        let [u, v] = self.half.map(|h| to.dot(h) / h.length_squared());
-        Vec3::new(u, v, to.dot(self.normal()))
+    /// Into the light's coordinates: column and row in half sides (the rectangle spans −1..1) and depth, the distance from
+    /// its plane, m, positive where it shines.
+    pub fn light_from_world(&self) -> Affine3A {
+        let [u, v] = self.half.map(|h| h / h.length_squared());
+        let rows = Mat3::from_cols(u, v, self.normal()).transpose();
+        Affine3A::from_mat3_translation(rows, -(rows * self.centre))
     }
 }

@@ -32,12 +32,12 @@ use crate::error;
 
 pub use filter::Filtered;
 pub use find::{find, given};
-pub use frustum::{Frustum, Kernel};
+pub use frustum::{Frustum, Kernel, Section};
 pub use light::RectangularLight;
 pub use mipmap::Mipmap;
 pub use n_buffers::NBuffers;
 pub use plate::PlateShadow;
-pub use slices::{MOST_SLICES, Mask, Slices};
+pub use slices::{Fade, MOST_SLICES, Mask, Slices};
 pub use summed_area::SummedArea;
 pub use textures::OcclusionTextures;
 

@@ -55,12 +55,15 @@ impl NBuffers {
 /// The next level: boxes of four.
 fn wider(level: &[f32], size: usize, step: usize) -> Vec<f32> {
     let mut out = vec![0.0; size * size];
+    let outside = vec![0.0; size];
     for (y, row) in out.chunks_exact_mut(size).enumerate() {
         let upper = &level[y * size..][..size];
-        let lower = if y + step < size { &level[(y + step) * size..][..size] } else { &[] };
-        for (x, texel) in row.iter_mut().enumerate() {
-            let at = |row: &[f32], x: usize| row.get(x).copied().unwrap_or(0.0);
-            *texel = 0.25 * (upper[x] + at(upper, x + step) + at(lower, x) + at(lower, x + step));
+        let lower = if y + step < size { &level[(y + step) * size..][..size] } else { &outside };
+        for (texel, (a, b)) in row.iter_mut().zip(upper.iter().zip(lower)) {
+            *texel = 0.25 * (a + b);
+        }
+        for (texel, (a, b)) in row.iter_mut().zip(upper[step..].iter().zip(&lower[step..])) {
+            *texel += 0.25 * (a + b);
         }
     }
     out

@@ -8,8 +8,13 @@ use super::{Frustum, Mask, OcclusionTextures, RectangularLight, Slices, find, gi
 use crate::config::Render;
 use crate::image::luminance;
 use crate::shadow::{Occluder, Pixel, Prepared, Problem, Removed, Scene};
-use glam::{Vec2, Vec3};
+use crate::transfer::sampling::Shift;
+use crate::visibility::Bvh;
+use glam::{Affine3A, Vec2, Vec3};
 use rayon::prelude::*;
+
+/// Rays start and end so far off surfaces, m.
+const OFFSET_M: f32 = 1e-3;
 
 /// The method `occlusion-textures`, prepared for a scene.
 pub struct PlateShadow<'a> {
@@ -48,11 +53,57 @@ impl<'a> PlateShadow<'a> {
 
     /// ε of an object. Scene and object are drawn anew: the slices follow the object.
     pub fn frame(&self, occluder: &Occluder) -> Result<Removed, Problem> {
+        self.gather(occluder, |reach, near| self.sliced(occluder, reach, near))
+    }
+
+    /// The same by so many rays from each pixel to each rectangle: what slices cost is the difference.
+    pub fn traced(&self, occluder: &Occluder, rays: usize) -> Result<Removed, Problem> {
+        let scene = Bvh::new(&self.scene.light.mesh.vertices, &self.triangles);
+        let object = Bvh::new(&occluder.vertices, &occluder.triangles);
+        let taken = |light: &RectangularLight, pixel: &Pixel| {
+            let from = pixel.position + pixel.normal * OFFSET_M;
+            let shift = Shift::new(self.settings.seed, u64::from(pixel.index));
+            let hidden = (0..rays as u32).filter(|&i| {
+                let to = light.at(shift.point(i)) + light.normal() * OFFSET_M;
+                object.occluded(from, to) && !scene.occluded(from, to)
+            });
+            hidden.count() as f32 / rays.max(1) as f32
+        };
+        self.gather(occluder, |reach, near| (near.par_iter().map(|p| taken(reach.light, p)).collect(), 0))
+    }
+
+    /// Sums over the lights. `taken` gives the share of each that the object takes from some pixels, and the number of
+    /// textures that this needed.
+    fn gather(
+        &self,
+        occluder: &Occluder,
+        taken: impl Fn(&Reach, &[&Pixel]) -> (Vec<f32>, usize),
+    ) -> Result<Removed, Problem> {
         occluder.check()?;
-        let mut blocked = vec![[0.0; 3]; self.prepared.pixels.len()];
+        let pixels = &self.prepared.pixels;
+        let mut blocked = vec![[0.0; 3]; pixels.len()];
         let mut textures = 0;
         for light in &self.lights {
-            textures += self.block(light, occluder, &mut blocked);
+            let reach = Reach::new(light, occluder);
+            let near: Vec<usize> =
+                (0..pixels.len()).into_par_iter().filter(|&i| reach.holds(pixels[i].position)).collect();
+            if near.is_empty() {
+                continue;
+            }
+            let seen: Vec<&Pixel> = near.iter().map(|&i| &pixels[i]).collect();
+            let (shares, made) = taken(&reach, &seen);
+            textures += made;
+            let sent: Vec<[f32; 3]> = seen
+                .par_iter()
+                .zip(&shares)
+                .map(|(pixel, &share)| match share {
+                    0.0 => [0.0; 3],
+                    _ => light.irradiance(pixel.position, pixel.normal).map(|e| e * share),
+                })
+                .collect();
+            for (i, sent) in near.into_iter().zip(sent) {
+                (0..3).for_each(|c| blocked[i][c] += sent[c]);
+            }
         }
         Ok(Removed {
             epsilon: self.prepared.epsilon(self.scene.plate, &blocked),
@@ -66,59 +117,53 @@ impl<'a> PlateShadow<'a> {
         })
     }
 
-    /// Adds the irradiance that the object takes of one light; gives the number of textures made.
-    fn block(&self, light: &RectangularLight, occluder: &Occluder, blocked: &mut [[f32; 3]]) -> usize {
-        let span = Span::of(light, occluder);
-        let pixels = &self.prepared.pixels;
-        let near: Vec<usize> =
-            (0..pixels.len()).into_par_iter().filter(|&i| span.may_hide(light, &pixels[i])).collect();
-        let far = near.iter().map(|&i| light.from_world(pixels[i].position).z).fold(0.0, f32::max);
-        if near.is_empty() {
-            return 0;
-        }
-        let frustum = Frustum::fit(*light, near.iter().map(|&i| pixels[i].position));
-        let slices = Slices::around([span.low.z, span.high.z], far, self.settings.slices);
+    /// V⁰ − V¹ of the pixels that the object may shadow, which set frustum and slices.
+    fn sliced(&self, occluder: &Occluder, reach: &Reach, near: &[&Pixel]) -> (Vec<f32>, usize) {
+        let settings = &self.settings;
+        let far = near.iter().map(|p| reach.coordinates(p.position).z).fold(0.0, f32::max);
+        let frustum = Frustum::fit(reach.light, near.iter().map(|p| p.position));
+        let slices = Slices::around([reach.low.z, reach.high.z], far, settings.slices);
         let draw = |vertices: &[Vec3], triangles: &[[u32; 3]]| {
-            let mask = Mask::draw(&frustum, &slices, self.settings.occlusion_px, vertices, triangles);
-            if self.settings.close_leaks { mask.closed() } else { mask }
+            let mask = Mask::draw(&frustum, &slices, settings.occlusion_px, vertices, triangles);
+            if settings.close_leaks { mask.closed() } else { mask }
         };
         let without = draw(&self.scene.light.mesh.vertices, &self.triangles);
         let with = draw(&occluder.vertices, &occluder.triangles).with(&without);
-        let textures = [without, with]
-            .map(|m| OcclusionTextures::new(frustum, slices.clone(), &m, self.settings.occlusion_filter));
-        let rule = self.settings.combination;
-        let taken: Vec<f32> = near
-            .par_iter()
-            .map(|&i| {
-                let [without, with] = [0, 1].map(|k| textures[k].visibility(pixels[i].position, rule));
-                (without - with).max(0.0)
-            })
-            .collect();
-        for (i, taken) in near.into_iter().zip(taken).filter(|(_, taken)| *taken > 0.0) {
-            let sent = light.irradiance(pixels[i].position, pixels[i].normal);
-            (0..3).for_each(|c| blocked[i][c] += sent[c] * taken);
-        }
-        2 * slices.count()
+        let [without, with] = [without, with]
+            .map(|mask| OcclusionTextures::new(&frustum, &slices, &mask, settings.occlusion_filter));
+        let visible = |textures: &OcclusionTextures, pixel: &Pixel| {
+            textures.visibility(pixel.position, settings.combination)
+        };
+        let taken = near.par_iter().map(|p| (visible(&without, p) - visible(&with, p)).max(0.0)).collect();
+        (taken, 2 * slices.count())
     }
 }
 
-/// Box around an object in a light's coordinates.
-struct Span {
+/// What an object may hide a light from.
+struct Reach<'a> {
+    light: &'a RectangularLight,
+    light_from_world: Affine3A,
+    /// Box around the object in the light's coordinates.
     low: Vec3,
     high: Vec3,
 }
 
-impl Span {
-    fn of(light: &RectangularLight, occluder: &Occluder) -> Self {
-        let used =
-            occluder.triangles.iter().flatten().map(|&v| light.from_world(occluder.vertices[v as usize]));
-        let (low, high) = used.fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(a, b), q| (a.min(q), b.max(q)));
-        Self { low, high }
+impl<'a> Reach<'a> {
+    fn new(light: &'a RectangularLight, occluder: &Occluder) -> Self {
+        let light_from_world = light.light_from_world();
+        let corners = occluder.triangles.iter().flatten();
+        let points = corners.map(|&v| light_from_world.transform_point3(occluder.vertices[v as usize]));
+        let (low, high) = points.fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(a, b), q| (a.min(q), b.max(q)));
+        Self { light, light_from_world, low, high }
     }
 
-    /// Whether the pyramid from a pixel to the light meets the box around the pyramid's part at the object's depths.
-    fn may_hide(&self, light: &RectangularLight, pixel: &Pixel) -> bool {
-        let q = light.from_world(pixel.position);
+    fn coordinates(&self, position: Vec3) -> Vec3 {
+        self.light_from_world.transform_point3(position)
+    }
+
+    /// Whether the box around the part at the object's depths of the pyramid from a point to the light meets the object's.
+    fn holds(&self, position: Vec3) -> bool {
+        let q = self.coordinates(position);
         let (near, far) = (self.low.z.max(0.0), self.high.z.min(q.z));
         if near >= far {
             return false;

@@ -55,14 +55,11 @@ impl Slices {
         self.planes[slice + 1]
     }
 
-    /// How much a slice counts at a depth: nothing for receivers in it or before it, linearly more behind it, all from one
-    /// slice's depth on (§3.4, "self shadowing"); so that no receiver is hidden by its own surface, nor jumps where it
-    /// crosses a plane. Where slices differ the thinner of this one and the next is meant.
-    pub fn weight(&self, slice: usize, depth: f32) -> f32 {
+    /// How a slice fades in behind it. Where slices differ the thinner of this one and the next sets the length.
+    pub fn fade(&self, slice: usize) -> Fade {
         let end = self.planes[slice + 1];
         let next = self.planes.get(slice + 2).map_or(f32::INFINITY, |p| p - end);
-        let thickness = (end - self.planes[slice]).min(next);
-        if depth <= end { 0.0 } else { ((depth - end) / thickness).min(1.0) }
+        Fade { end, length: (end - self.planes[slice]).min(next) }
     }
 
     fn holding(&self, depth: f32) -> Option<usize> {
@@ -73,6 +70,21 @@ impl Slices {
 
 fn cuts(from: f32, to: f32, count: usize) -> impl Iterator<Item = f32> {
     (0..=count).map(move |i| from + (to - from) * i as f32 / count as f32)
+}
+
+/// How much a slice counts for receivers behind it (§3.4, "self shadowing").
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Fade {
+    end: f32,
+    length: f32,
+}
+
+impl Fade {
+    /// Nothing in the slice or before it, linearly more behind it, all from one slice's depth on: no receiver is hidden by its
+    /// own surface, nor jumps where it crosses a plane.
+    pub fn weight(&self, depth: f32) -> f32 {
+        ((depth - self.end) / self.length).clamp(0.0, 1.0)
+    }
 }
 
 /// What lies in each slice, by texel.
@@ -95,7 +107,8 @@ impl Mask {
         vertices: &[Vec3],
         triangles: &[[u32; 3]],
     ) -> Self {
-        let points: Vec<Vec3> = vertices.par_iter().map(|&v| frustum.light.from_world(v)).collect();
+        let points: Vec<Vec3> =
+            vertices.par_iter().map(|&v| frustum.light_from_world.transform_point3(v)).collect();
         let empty = || Self { size, slices: slices.count(), bits: vec![0; size * size] };
         let draw = |mut mask: Self, part: &[[u32; 3]]| {
             for t in part {

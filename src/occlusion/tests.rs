@@ -38,9 +38,9 @@ fn lattice(height: f32) -> Occluder {
 }
 
 fn textures(occluder: &Occluder, slices: &Slices, filter: OcclusionFilter, close: bool) -> OcclusionTextures {
-    let frustum = Frustum::fit(light(), floor());
+    let frustum = Frustum::fit(&light(), floor());
     let mask = Mask::draw(&frustum, slices, 512, &occluder.vertices, &occluder.triangles);
-    OcclusionTextures::new(frustum, slices.clone(), &if close { mask.closed() } else { mask }, filter)
+    OcclusionTextures::new(&frustum, slices, &if close { mask.closed() } else { mask }, filter)
 }
 
 fn rms(found: &OcclusionTextures, rule: Combination, occluder: &Occluder) -> f32 {
