@@ -1,6 +1,7 @@
 use super::*;
-use crate::config::{Combination, OcclusionFilter, Render};
-use crate::shadow::{Occluder, Scene};
+use crate::config::{Combination, OcclusionFilter, Render, ShadowMethod};
+use crate::error::Problem as _;
+use crate::shadow::{Occluder, Scene, removed_radiance};
 use crate::synthetic::{Lobby, cuboid, face};
 use crate::transfer::sampling::Shift;
 use crate::transfer::{Transfers, solve};
@@ -147,7 +148,10 @@ fn on_the_plate_a_hidden_light_takes_exactly_its_contribution() {
         "the object stands behind the light"
     );
     // A lid close under the luminaire hides it from the floor's middle.
-    let found = method.frame(&cuboid(Vec3::new(0.45, 2.8, 0.45), Vec3::new(2.0, 0.02, 2.0))).unwrap();
+    let lid = cuboid(Vec3::new(0.45, 2.8, 0.45), Vec3::new(2.0, 0.02, 2.0));
+    let settings = Render { method: ShadowMethod::OcclusionTextures, ..Default::default() };
+    let found = removed_radiance(&room.scene(), &lid, &settings).unwrap();
+    assert_eq!(found, method.frame(&lid).unwrap());
     let mut compared = 0;
     for (i, receiver) in room.lobby.receivers.pixels.pixels().iter().enumerate() {
         let Some(r) = receiver.filter(|r| r.normal.y > 0.99 && r.position.y < 0.1) else { continue };
@@ -164,6 +168,28 @@ fn on_the_plate_a_hidden_light_takes_exactly_its_contribution() {
         }
     }
     assert!(compared > 50, "{compared} pixels");
+}
+
+#[test]
+fn by_rays_to_the_rectangle_little_differs() {
+    let room = Room::new();
+    let method = PlateShadow::prepare(&room.scene(), &Render::default()).unwrap();
+    let sheet = cuboid(Vec3::new(0.45, 1.5, 0.45), Vec3::new(0.5, 0.002, 0.4));
+    let [sliced, traced] = [method.frame(&sheet).unwrap(), method.traced(&sheet, 1024).unwrap()];
+    let pairs = || sliced.epsilon.pixels().iter().zip(traced.epsilon.pixels());
+    let signal: f32 = pairs().map(|(_, t)| t.luminance().powi(2)).sum();
+    let error: f32 = pairs().map(|(s, t)| (s.luminance() - t.luminance()).powi(2)).sum();
+    assert!(signal > 0.0 && (error / signal).sqrt() < 0.1, "{}", (error / signal).sqrt());
+}
+
+#[test]
+fn a_scene_without_a_rectangle_is_refused() {
+    let mut room = Room::new();
+    room.lobby.light.mesh.patches.iter_mut().for_each(|p| p.radiance = [1.0; 3]);
+    let settings = Render { method: ShadowMethod::OcclusionTextures, ..Default::default() };
+    let refused = removed_radiance(&room.scene(), &lattice(1.0), &settings).unwrap_err();
+    assert!(matches!(refused, crate::shadow::Problem::Rectangles(_)), "{refused}");
+    assert!(refused.hint().contains("radiance-transfer"), "{}", refused.hint());
 }
 
 #[test]

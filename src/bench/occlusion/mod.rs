@@ -55,10 +55,11 @@ pub(super) fn print(
     captures::print(settings, frames, printer)
 }
 
-fn reference(subject: &Subject, printer: &Printer) -> Vec<f32> {
+/// Visibility by rays, and the rms of its noise.
+fn reference(subject: &Subject) -> (Vec<f32>, f64) {
     let (a, b) = (subject.traced(REFERENCE, 1).0, subject.traced(REFERENCE, 2).0);
-    printer.detail(&format!("noise of the reference: {:.4}", errors(&a, &b)[0] / 2f64.sqrt()));
-    a
+    let noise = errors(&a, &b)[0] / 2f64.sqrt();
+    (a, noise)
 }
 
 /// Figure 2.
@@ -66,11 +67,13 @@ fn filters(frames: usize, pictures: Option<&Path>, printer: &Printer) -> Result<
     let cloud = || leaves(CLOUD.0, CLOUD.1);
     let sheet = Subject::new(LIGHT_M, flat(cloud()), JUDGED);
     let subject = Subject::new(LIGHT_M, cloud(), JUDGED);
-    let references = [reference(&sheet, printer), reference(&subject, printer)];
+    let (references, noise): (Vec<_>, Vec<_>) = [&sheet, &subject].map(reference).into_iter().unzip();
     let picture = Subject::new(LIGHT_M, cloud(), PICTURE);
     printer.data(&format!(
-        "\nFigure 2: time to prefilter 4 textures (one RGBA texture) and 16, lookups of 16 at 800×600 points, ms; rms errors\n\
-         {:<14}{:>6}{:>10}{:>8}{:>10}{:>10}{:>12}{:>12}",
+        "\nFigure 2: time to prefilter 4 textures (one RGBA texture) and 16, lookups of 16 at 800×600 points, ms; rms errors (noise \
+         {:.4}, {:.4})\n{:<14}{:>6}{:>10}{:>8}{:>10}{:>10}{:>12}{:>12}",
+        noise[0],
+        noise[1],
         "filter", "side", "4", "paper", "16", "lookups", "one sheet", "16 slices"
     ));
     let mut strip = vec![references[0].clone()];
@@ -110,12 +113,12 @@ fn rules(pictures: Option<&Path>, printer: &Printer) -> Result<()> {
     ];
     printer.data(&format!(
         "\nFigure 3: rms and mean (+ too light) of the error by rule; summed-area 512²; closed: slices projected on the next\n\
-         {:<16}{:>7}{:>17}{:>17}{:>17}{:>17}{:>17}",
-        "occluder", "slices", "maximum", "sum", "their mean", "product", "product, closed"
+         {:<16}{:>7}{:>8}{:>17}{:>17}{:>17}{:>17}{:>17}",
+        "occluder", "slices", "noise", "maximum", "sum", "their mean", "product", "product, closed"
     ));
     for (name, occluder) in subjects {
         let subject = Subject::new(LIGHT_M, occluder, JUDGED);
-        let reference = reference(&subject, printer);
+        let (reference, noise) = reference(&subject);
         for count in [4, 8, 16] {
             let slices = cloud_slices(count);
             let made = |close| subject.make(&slices, 512, OcclusionFilter::SummedArea, close).textures;
@@ -128,7 +131,7 @@ fn rules(pictures: Option<&Path>, printer: &Printer) -> Result<()> {
             let cells: String = (shown.iter().map(|s| errors(s, &reference)))
                 .map(|[rms, bias]| format!("{:>17}", format!("{rms:.3} {bias:+.3}")))
                 .collect();
-            printer.data(&format!("{name:<16}{count:>7}{cells}"));
+            printer.data(&format!("{name:<16}{count:>7}{noise:>8.4}{cells}"));
             if count == 16 {
                 let strip = [&reference, &shown[0], &shown[1], &shown[3]].map(Clone::clone);
                 let file = format!("occlusion_{}.png", name.replace(' ', "_"));
@@ -145,11 +148,12 @@ struct Cost {
     exact: [f64; 3],
     buffers: [f64; 3],
     rays: f64,
-    error: f64,
+    /// rms, and the reference's noise.
+    error: [f64; 2],
 }
 
 impl Cost {
-    fn measure(x: f64, side: f32, occluder: &Occluder, frames: usize, printer: &Printer) -> Self {
+    fn measure(x: f64, side: f32, occluder: &Occluder, frames: usize) -> Self {
         let picture = Subject::new(side, occluder.clone(), PICTURE);
         let judged = Subject::new(side, occluder.clone(), JUDGED);
         let slices: Slices = cloud_slices(16);
@@ -164,13 +168,14 @@ impl Cost {
         };
         let found = judged.make(&slices, 512, OcclusionFilter::SummedArea, false).textures;
         let found = judged.seen(&found, Combination::Product).0;
+        let (reference, noise) = reference(&judged);
         let scale = (PICTURE[0] * PICTURE[1]) as f64 / (JUDGED[0] * JUDGED[1]) as f64;
         Self {
             x,
             exact: time(OcclusionFilter::SummedArea),
             buffers: time(OcclusionFilter::NBuffers),
             rays: judged.traced(RAYS, 3).1 * scale,
-            error: errors(&found, &reference(&judged, printer))[0],
+            error: [errors(&found, &reference)[0], noise],
         }
     }
 
@@ -178,13 +183,14 @@ impl Cost {
         let cells = |t: [f64; 3]| format!("{:>9.1}{:>9.1}{:>9.1}", t[0], t[1], t[2]);
         let sums = [self.exact, self.buffers].map(|t| t.iter().sum::<f64>());
         printer.data(&format!(
-            "{name:<18}{}{:>9.1}{}{:>9.1}{:>10.0}{:>9.4}",
+            "{name:<18}{}{:>9.1}{}{:>9.1}{:>10.0}{:>9.4}{:>9.4}",
             cells(self.exact),
             sums[0],
             cells(self.buffers),
             sums[1],
             self.rays,
-            self.error
+            self.error[0],
+            self.error[1]
         ));
     }
 }
@@ -192,7 +198,7 @@ impl Cost {
 fn cost(frames: usize, pictures: Option<&Path>, printer: &Printer) -> Result<()> {
     let head = |what: &str| {
         let part = format!("{:>9}{:>9}{:>9}{:>9}", "draw", "filter", "look up", "all");
-        printer.data(&format!("{what:<18}{part}{part}{:>10}{:>9}", "64 rays", "rms"));
+        printer.data(&format!("{what:<18}{part}{part}{:>10}{:>9}{:>9}", "64 rays", "rms", "noise"));
     };
     printer.data(
         "\nCost of 16 slices of 512² at 800×600 points, ms: summed-area tables, then N-buffers; 64 rays a point beside \
@@ -202,7 +208,7 @@ fn cost(frames: usize, pictures: Option<&Path>, printer: &Printer) -> Result<()>
     let by_triangles: Vec<Cost> = TRIANGLES
         .iter()
         .map(|&n| {
-            let row = Cost::measure(n as f64, LIGHT_M, &leaves(n / 2, CLOUD.1), frames, printer);
+            let row = Cost::measure(n as f64, LIGHT_M, &leaves(n / 2, CLOUD.1), frames);
             row.tell(&n.to_string(), printer);
             row
         })
@@ -212,7 +218,7 @@ fn cost(frames: usize, pictures: Option<&Path>, printer: &Printer) -> Result<()>
     let by_side: Vec<Cost> = SIDES_M
         .iter()
         .map(|&m| {
-            let row = Cost::measure(f64::from(m), m, &cloud, frames, printer);
+            let row = Cost::measure(f64::from(m), m, &cloud, frames);
             row.tell(&format!("{m} m"), printer);
             row
         })
