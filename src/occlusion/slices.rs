@@ -10,6 +10,8 @@ use rayon::prelude::*;
 pub const MOST_SLICES: usize = 16;
 /// What lies nearer to the light than this, m, is the light itself or the wall that it is set in.
 const NEAR_M: f32 = 0.01;
+/// Least depth of an object's slice, as a share of the farthest receiver's.
+const THINNEST: f32 = 5e-3;
 /// Triangles drawn at a time.
 const BATCH: usize = 8192;
 
@@ -27,20 +29,22 @@ impl Slices {
 
     /// Slices of equal depth over an object, from `object[0]` to `object[1]`, and one each for what lies before it and
     /// behind it as far as `far` (m), if there is room: the shadow of one object needs its own slices alone (the paper's
-    /// future work).
+    /// future work). Fewer than `count` where they would be very thin: they would part what is one surface, or the two of
+    /// a sheet.
     pub fn around(object: [f32; 2], far: f32, count: usize) -> Self {
         let count = count.clamp(1, MOST_SLICES);
-        let near = object[0].max(NEAR_M);
-        let end = object[1].max(near).min(far);
-        let room = 1e-3 * far;
-        let (before, behind) = (near > NEAR_M + room, end + room < far);
+        let thinnest = THINNEST * far;
+        let near = (object[0] - thinnest / 4.0).max(NEAR_M);
+        let end = (object[1] + thinnest / 4.0).min(far);
+        let (before, behind) = (near > NEAR_M + thinnest, end + thinnest < far);
         let rest = usize::from(before) + usize::from(behind);
         if end <= near || count <= rest {
             return Self::uniform(NEAR_M, far, count);
         }
+        let over = (((end - near) / thinnest) as usize).clamp(1, count - rest);
         let mut planes = Vec::with_capacity(count + 1);
         planes.extend(before.then_some(NEAR_M));
-        planes.extend(cuts(near, end, count - rest));
+        planes.extend(cuts(near, end, over));
         planes.extend(behind.then_some(far));
         Self { planes }
     }
@@ -186,4 +190,40 @@ fn beyond(corners: [Vec3; 3], near: f32) -> ([Vec3; 4], usize) {
         }
     }
     (out, count)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn slices_ascend_and_hold_the_object(
+            low in 0.0..4.0f32, depth in 0.0..1.0f32, beyond in 0.0..2.0f32, count in 1usize..20,
+        ) {
+            let far = low + depth + beyond + 0.02;
+            let slices = Slices::around([low, low + depth], far, count);
+            prop_assert!((1..=count.min(MOST_SLICES)).contains(&slices.count()), "{:?}", slices);
+            prop_assert!(slices.planes.windows(2).all(|p| p[0] < p[1]), "{:?}", slices);
+            let middle = low + depth / 2.0;
+            prop_assert!(middle <= NEAR_M || slices.holding(middle).is_some(), "{} in {:?}", middle, slices);
+        }
+
+        #[test]
+        fn a_slice_counts_more_the_farther_behind_it(
+            count in 1usize..16, slice in 0usize..16, a in 0.0..3.0f32, b in 0.0..3.0f32,
+        ) {
+            let slices = Slices::uniform(0.0, 2.0, count);
+            let fade = slices.fade(slice % count);
+            prop_assert!(fade.weight(a.min(b)) <= fade.weight(a.max(b)));
+            prop_assert_eq!(fade.weight(slices.plane(slice % count)), 0.0);
+        }
+    }
+
+    #[test]
+    fn a_sheet_is_one_slice() {
+        let slices = Slices::around([1.5, 1.504], 3.0, 16);
+        assert_eq!((slices.count(), slices.holding(1.5), slices.holding(1.504)), (3, Some(1), Some(1)));
+    }
 }
