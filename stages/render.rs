@@ -14,7 +14,7 @@ use insitu::render::{self, Object, Set, Shaded};
 use insitu::response::Response;
 use insitu::shadow::{self, Caster, Occluder, Receivers, Session};
 use insitu::stage::{Context, Input, digest_file};
-use insitu::transfer::Transfers;
+use insitu::transfer::{Finish, Transfers};
 use insitu::visibility::Bvh;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -40,11 +40,13 @@ fn main() -> std::process::ExitCode {
         let receivers = Receivers::cast(camera, &light.mesh);
         let occluder = Occluder { vertices: object.vertices.clone(), triangles: object.triangles.clone() };
         let stored = stored(ctx)?;
+        let gloss: Vec<_> = scene.faces.iter().map(|f| f.gloss).collect();
         let shadows = shadow::Scene {
             light: &light,
             transfers: &transfers,
             receivers: &receivers,
             plate: &plate,
+            finish: Finish::new(camera, &gloss),
             stored: stored.as_ref().map(|(codes, response)| shadow::Stored { codes, response }),
         };
         let mut session = Session::prepare(&shadows, settings).doing("preparing the shadow method")?;

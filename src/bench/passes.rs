@@ -16,7 +16,7 @@ const PASSES: [usize; 6] = [10, 20, 50, 100, 200, 0];
 /// Rays per pixel of the ray-traced rows.
 const RAYS: [usize; 2] = [16, 64];
 /// The reference's noise is to be below this share of the least error shown.
-const NOISE_SHARE: f64 = 1.0 / 3.0;
+const NOISE_SHARE: f64 = 0.5;
 /// Patches of the lobby, and width of its picture, px.
 const LOBBY: (usize, u32) = (2000, 640);
 

@@ -41,8 +41,7 @@ pub(crate) struct Outlook<'a> {
 const REST: f64 = 0.02;
 
 impl<'a> Outlook<'a> {
-    pub fn new(scene: &Scene<'a>, prepared: &Prepared, bounds: Bounds) -> Self {
-        let affected = scene.transfers.affected(bounds.min, bounds.max);
+    pub fn new(scene: &Scene<'a>, prepared: &Prepared, affected: Affected, bounds: Bounds) -> Self {
         let (seen, distance) = seen(scene, prepared, &affected, &bounds);
         let moments = Moments::new(&seen);
         Self { scene: *scene, bounds, affected, seen, moments, distance }

@@ -9,11 +9,13 @@ use super::tiles::{Pixel, Prepared, Tile, Vector};
 use super::{Bounds, Occluder, Problem, Removed, Scene};
 use crate::config::Render;
 use crate::image::RadianceImage;
+use crate::transfer::Traversal;
 use crate::visibility::Bvh;
 use glam::Vec3;
 use ndarray::Array3;
 use rayon::prelude::*;
 use std::ops::Range;
+use std::sync::{Mutex, PoisonError};
 use wide::f32x8;
 
 /// Texels of shadow maps that are held at a time.
@@ -28,6 +30,8 @@ const RAY_PROBES: usize = 8;
 pub struct RadianceTransfer<'a> {
     scene: Scene<'a>,
     prepared: Prepared,
+    /// Tags of the hierarchy's nodes, frame by frame.
+    traversal: Mutex<Traversal>,
     /// Where codes are subtracted instead of radiance.
     ldr: Option<Ldr<'a>>,
     passes: usize,
@@ -74,6 +78,7 @@ impl<'a> RadianceTransfer<'a> {
         Ok(Self {
             ldr: Ldr::prepare(scene, &prepared, settings)?,
             prepared,
+            traversal: Mutex::default(),
             scene: *scene,
             passes: settings.passes,
             origins: settings.origins.max(1),
@@ -98,7 +103,10 @@ impl<'a> RadianceTransfer<'a> {
 
     /// What an object has to do with the light.
     pub(crate) fn outlook(&self, occluder: &Occluder) -> Outlook<'a> {
-        Outlook::new(&self.scene, &self.prepared, Bounds::of(occluder))
+        let bounds = Bounds::of(occluder);
+        let mut traversal = self.traversal.lock().unwrap_or_else(PoisonError::into_inner);
+        let affected = traversal.affected(self.scene.transfers, bounds.min, bounds.max);
+        Outlook::new(&self.scene, &self.prepared, affected, bounds)
     }
 
     pub(crate) fn plan(&self, outlook: &Outlook, passes: usize) -> Plan {

@@ -4,14 +4,13 @@ use super::blockers::{Blockers, Sides};
 use super::field::{LightField, Point};
 use super::gather::{Fineness, Gatherer, OFFSET_M, Sent};
 use super::links::{Cutter, Entry};
-use super::lobe::Lobe;
+use super::lobe::Finish;
 use super::octree::ReceiverTree;
 use super::receivers::ReceiverMesh;
 use super::sets;
 use super::{SourceTree, tree::LightTree};
 use crate::illuminate::patch::PatchMesh;
 use crate::image::luminance;
-use crate::model::face::Gloss;
 use crate::visibility::Bvh;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -28,15 +27,6 @@ const BATCH: usize = 64;
 pub(super) struct Field {
     pub lights: LightField,
     sides: Sides,
-}
-
-/// What the receivers mirror to the plate's camera.
-#[derive(Debug, Clone, Copy)]
-pub struct Finish<'a> {
-    /// Centre of the plate's camera, m.
-    pub eye: Vec3,
-    /// By face of the scene.
-    pub gloss: &'a [Option<Gloss>],
 }
 
 /// The static scene around the receivers.
@@ -101,8 +91,7 @@ impl<'a> Surroundings<'a> {
     pub fn point(&self, patch: u32, position: Vec3, normal: Vec3, (sum, count): (Vec3, f32)) -> Point {
         let inset = (sum / count - position) * INSET;
         let patch = &self.mesh.patches[patch as usize];
-        let gloss = self.finish.and_then(|f| Some((f.eye, f.gloss.get(patch.face as usize)?.as_ref()?)));
-        let lobe = gloss.and_then(|(eye, g)| Lobe::new(g, patch.reflectance, position, normal, eye));
+        let lobe = self.finish.and_then(|f| f.lobe(patch, position, normal));
         Point { position: position + inset + normal * OFFSET_M, normal, lobe }
     }
 
