@@ -33,7 +33,7 @@ pub(crate) struct Outlook<'a> {
     affected: Affected,
     seen: Vec<Seen>,
     moments: Moments,
-    /// Mean distance from the object to its shadow, radii of the object.
+    /// Mean distance from the object's near side to its shadow, radii of the object.
     distance: f64,
 }
 
