@@ -79,7 +79,7 @@ pub fn bench(
             Table::Gpu => gpu::print(&settings, frames, printer)?,
             Table::Growth => growth::print(pictures, printer)?,
             Table::Intensity => intensity::print(&ready(&settings, printer)?, pictures, printer)?,
-            Table::Ldr => ldr::print(&ready(&settings, printer)?, pictures, printer)?,
+            Table::Ldr => ldr::print(&settings, &ready(&settings, printer)?, pictures, printer)?,
             Table::Breakdown => breakdown::print(&settings, printer)?,
             Table::Truth => truth::print(&settings, pictures, printer)?,
             Table::Stages | Table::Frames => {

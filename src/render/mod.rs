@@ -2,6 +2,7 @@
 
 mod cells;
 mod environment;
+mod frames;
 mod gltf_file;
 mod layer;
 mod load;
@@ -15,6 +16,7 @@ mod shade;
 
 pub use cells::Cells;
 pub use environment::Environment;
+pub use frames::{Frame, Frames};
 pub use layer::{Layer, Rendered, render};
 pub use load::load_object;
 pub use object::{Material, Object, Soup, Triangle};
