@@ -50,7 +50,7 @@ pub(super) struct Surroundings<'a> {
     gatherer: Gatherer<'a>,
     /// Group of each receiver patch, in the order of [`ReceiverMesh::patches`].
     group_of: Vec<u32>,
-    /// Points of each group, whose hull holds all others, m.
+    /// Corners of each group as far inset as they may be, m: their hull holds every point of the group.
     places: Vec<Vec<Vec3>>,
 }
 
@@ -90,9 +90,17 @@ impl<'a> Surroundings<'a> {
             let members = &octree.order[node.patches.start as usize..node.patches.end as usize];
             members.iter().for_each(|&i| group_of[i as usize] = group);
         }
-        let place = |&v: &u32| receivers.positions[v as usize] + receivers.normals[v as usize] * OFFSET_M;
+        let mut around = vec![Vec::new(); receivers.positions.len()];
+        for t in &receivers.triangles {
+            t.vertices.iter().for_each(|&v| around[v as usize].extend(t.vertices));
+        }
+        let at = |v: u32| receivers.positions[v as usize];
+        let inset = |&v: &u32| {
+            let base = at(v) + receivers.normals[v as usize] * OFFSET_M;
+            around[v as usize].iter().map(move |&w| base + (at(w) - at(v)) * INSET)
+        };
         let vertices = octree.vertices(receivers);
-        let places = vertices.iter().map(|group| group.iter().map(place).collect()).collect();
+        let places = vertices.iter().map(|group| group.iter().flat_map(inset).collect()).collect();
         let (blockers, gatherer) = (Blockers::new(mesh), Gatherer { bvh, rays });
         Self { mesh, finish, blockers, gatherer, group_of, places }
     }
