@@ -271,11 +271,11 @@ settings! {
         leaf_patches: usize = 8,
         /// Shafts end where less than this share of the irradiance of every receiver vertex passes.
         shaft_share: f64 = 0.02,
-        /// Receivers are split where transfers differ from what their vertices say by more than this share of the
-        /// irradiance; 0 leaves them as they are.
-        receiver_tolerance: f64 = 0.1,
+        /// Receivers are split until transfers differ from what their vertices say by no more than this share of the
+        /// irradiance, root mean square over the plate's pixels; 0 leaves them as they are.
+        receiver_tolerance: f64 = 0.015,
         /// Receivers are not split beyond so many vertices.
-        receiver_vertices: usize = 20_000,
+        receiver_vertices: usize = 10_000,
     }
 }
 
