@@ -13,7 +13,7 @@ use glam::Vec3;
 const SHARE: f64 = 0.98;
 /// Reference rays per pixel, at first and at most.
 const FIRST_RAYS: usize = 64;
-const MOST_RAYS: usize = 1 << 11;
+const MOST_RAYS: usize = 1 << 12;
 
 /// The lobby with its transfers.
 pub(super) struct LobbyTransfers {
