@@ -12,6 +12,8 @@ pub struct Casters {
     maps: Vec<Option<ShadowMap>>,
     /// For lights too near for a map.
     rays: Option<Bvh>,
+    /// Surfaces are looked up so far above themselves, m.
+    lift_m: f32,
 }
 
 impl Casters {
@@ -24,7 +26,14 @@ impl Casters {
         let maps: Vec<Option<ShadowMap>> = plans.par_iter().map(draw).collect();
         let rays =
             maps.iter().any(Option::is_none).then(|| Bvh::new(&occluder.vertices, &occluder.triangles));
-        Self { plans, maps, rays }
+        Self { plans, maps, rays, lift_m: 0.0 }
+    }
+
+    /// The same for what falls on the object itself: looked up a texel above its surface, so that the neighbouring triangles
+    /// of a hollow do not hide it.
+    pub fn on_itself(lights: &[Light], occluder: &Occluder, size: usize) -> Self {
+        let lift_m = 2.0 * Bounds::of(occluder).radius / size.max(1) as f32;
+        Self { lift_m, ..Self::draw(lights, occluder, size) }
     }
 
     /// Number of maps drawn.
@@ -43,11 +52,11 @@ impl Casters {
         if surface.face_normal.dot(direction) <= 0.0 {
             return false;
         }
+        let from = surface.position + surface.face_normal * self.lift_m;
         match (&self.maps[light], &self.rays, self.plans[light].origin) {
-            (Some(map), ..) => map.blocked(surface.position, surface.face_normal),
-            (None, Some(object), ShadowOrigin::Point(origin)) => object.occluded(surface.position, origin),
+            (Some(map), ..) => map.blocked(from, surface.face_normal),
+            (None, Some(object), ShadowOrigin::Point(origin)) => object.occluded(from, origin),
             (None, Some(object), ShadowOrigin::Direction(direction)) => {
-                let from = surface.position + surface.face_normal * 1e-4;
                 object.any_hit(from, direction, 0.0, f32::INFINITY)
             }
             (None, None, _) => false,

@@ -93,7 +93,8 @@ mod tests {
             let cos = normal.dot(viewer);
             let found = lobe.reflected(normal * (2.0 * cos) - viewer, cos);
             for k in 0..3 {
-                assert!((found[k] / exact[k] - 1.0).abs() < 0.06, "{found:?} {exact:?}");
+                // Seen aslant, the true lobe is longer than the one prefiltered head-on.
+                assert!((found[k] / exact[k] - 1.0).abs() < 0.08, "{found:?} {exact:?}");
             }
         }
     }

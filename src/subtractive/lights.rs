@@ -1,11 +1,14 @@
 //! The environment as a few lights (decoro2008, §2, step 1), and where they lie.
 
 use super::structured::structured;
-use crate::config::LightSampling;
+use crate::config::{LightSampling, Render};
 use crate::illuminate::distant::{median_cut, texels};
 use crate::illuminate::patch::{DistantSource, LightModel};
 use crate::image::RadianceImage;
+use crate::irradiance::split_beams;
+use crate::render::Environment;
 use crate::shadow::ShadowOrigin;
+use crate::transfer::sampling::{Shift, in_cap};
 use crate::visibility::Bvh;
 use glam::Vec3;
 use std::f32::consts::PI;
@@ -21,6 +24,31 @@ pub fn sample(environment: &RadianceImage, count: usize, sampling: LightSampling
     }
 }
 
+/// The lights of a scene model at `place` (m), most of them on its surfaces. A beam (the sun) is no part of the sampled
+/// environment, whose texels would move it: it is as many lights all over its disc as a tenth of all.
+pub(crate) fn lights_at(
+    model: &LightModel,
+    bvh: &Bvh,
+    place: Vec3,
+    count: usize,
+    settings: &Render,
+) -> Vec<Light> {
+    let width = settings.environment_px.max(8);
+    let (beams, soft) = split_beams(&model.distant);
+    let open: Vec<_> =
+        beams.into_iter().filter(|b| !bvh.any_hit(place, b.direction, 0.0, f32::INFINITY)).collect();
+    let each = if open.is_empty() { 0 } else { (count / 10 / open.len()).max(1) };
+    let points = open.iter().flat_map(|beam| {
+        let share = DistantSource { solid_angle_sr: beam.solid_angle_sr / each as f32, ..*beam };
+        let point = |i| in_cap(beam.direction, beam.angular_radius(), Shift::new(0, 0).point(i));
+        (0..each as u32).map(move |i| Light::distant(&DistantSource { direction: point(i), ..share }))
+    });
+    let environment = Environment::cast_with(&model.mesh, &soft, bvh, place, width, width / 2);
+    let rest = count.saturating_sub(each * open.len()).max(1);
+    let sources = sample(&environment.map, rest, settings.light_sampling);
+    points.chain(sources.iter().map(|source| Light::on_model(source, model, bvh, place))).collect()
+}
+
 /// A light of the environment as seen from one place.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Light {
@@ -28,6 +56,8 @@ pub struct Light {
     pub origin: ShadowOrigin,
     /// Irradiance that it gives at the environment's place to what faces it, plate units.
     pub power: [f32; 3],
+    /// Solid angle that it stands for, sr: its gloss is spread over that much.
+    pub extent_sr: f32,
     /// Of a light on the model's surfaces.
     near: Option<Near>,
 }
@@ -55,8 +85,14 @@ impl Light {
         Self {
             origin: ShadowOrigin::Direction(source.direction),
             power: source.radiance.map(|l| l * source.solid_angle_sr),
+            extent_sr: source.solid_angle_sr,
             near: None,
         }
+    }
+
+    /// The same as a point, whose gloss is as narrow as the material's: what additive shadows are made of.
+    pub fn as_point(self) -> Self {
+        Self { extent_sr: 0.0, ..self }
     }
 
     /// On the front of the surface that the light is seen on from `place` (m), at infinity where there is none.
