@@ -381,7 +381,7 @@ settings! {
         /// How they are found.
         light_sampling: LightSampling = LightSampling::Structured,
         /// Pixels that share a sample of its shadow buffer: 1, 4, 16, 64, 256 or 1024 (sampling detail).
-        pixels_per_sample: usize = 16,
+        pixels_per_sample: usize = 4,
         /// The object of the method `subtractive` is lit light by light instead, to compare.
         additive: bool = false,
         /// Seed of all random choices.

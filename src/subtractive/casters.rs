@@ -63,3 +63,45 @@ impl Casters {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::illuminate::patch::DistantSource;
+    use crate::synthetic::{blob, cuboid};
+
+    fn from(direction: Vec3) -> Light {
+        let direction = direction.normalize();
+        Light::distant(&DistantSource { direction, solid_angle_sr: 0.1, radiance: [1.0; 3] })
+    }
+
+    fn surface(position: Vec3, normal: Vec3) -> Surface {
+        Surface { position, normal, face_normal: normal, viewer: normal, material: 0, pixel_m: 1e-3 }
+    }
+
+    #[test]
+    fn a_box_hides_what_lies_behind_it() {
+        let casters = Casters::draw(&[from(Vec3::Y)], &cuboid(Vec3::Y, Vec3::splat(0.2)), 64);
+        let hidden = |x: f32| casters.hide(0, &surface(Vec3::X * x, Vec3::Y), Vec3::Y);
+        assert!(hidden(0.0) && hidden(0.18) && !hidden(0.22));
+        assert_eq!((casters.maps(), casters.near(Vec3::X * 3.0, 0.1).len()), (1, 0));
+        assert_eq!(casters.near(Vec3::ZERO, 0.1), [0]);
+    }
+
+    #[test]
+    fn a_round_object_hides_no_light_from_its_lit_side() {
+        let sphere = blob(Vec3::ZERO, 0.2, 0.0, 40);
+        for light in [Vec3::Y, Vec3::new(1.0, 0.3, 0.2), Vec3::new(-0.4, 0.7, -1.0)] {
+            let direction = light.normalize();
+            let casters = Casters::on_itself(&[from(light)], &sphere, 256);
+            for t in &sphere.triangles {
+                let [a, b, c] = t.map(|v| sphere.vertices[v as usize]);
+                let Some(normal) = (b - a).cross(c - a).try_normalize() else { continue };
+                let (centre, outside) = ((a + b + c) / 3.0, normal * normal.dot(a + b + c).signum());
+                if outside.dot(direction) > 0.1 {
+                    assert!(!casters.hide(0, &surface(centre, outside), direction), "{centre} from {light}");
+                }
+            }
+        }
+    }
+}

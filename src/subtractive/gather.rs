@@ -36,8 +36,8 @@ pub fn gather(
         }
         let gloss = brdf
             .map_or(0.0, |b| b.widened(lights[i].extent_sr).value(surface.normal, direction, surface.viewer));
-        for k in 0..3 {
-            let irradiance = weight * share[k] * lights[i].power[k];
+        for (k, share) in share.into_iter().enumerate() {
+            let irradiance = weight * share * lights[i].power[k];
             sent.irradiance[k] += irradiance;
             sent.gloss[k] += gloss * irradiance;
         }
