@@ -2,7 +2,7 @@
 
 use super::structured::structured;
 use crate::config::{LightSampling, Render};
-use crate::illuminate::distant::{median_cut, texels};
+use crate::illuminate::distant::{Stratum, median_cut, texels};
 use crate::illuminate::patch::{DistantSource, LightModel};
 use crate::image::RadianceImage;
 use crate::irradiance::split_beams;
@@ -14,7 +14,7 @@ use glam::Vec3;
 use std::f32::consts::PI;
 
 /// At most `count` lights with all the power of a `latlong` environment; none where that is black.
-pub fn sample(environment: &RadianceImage, count: usize, sampling: LightSampling) -> Vec<DistantSource> {
+pub(crate) fn sample(environment: &RadianceImage, count: usize, sampling: LightSampling) -> Vec<Stratum> {
     match sampling {
         LightSampling::Structured => structured(environment, count),
         LightSampling::MedianCut => {
@@ -46,7 +46,7 @@ pub(crate) fn lights_at(
     let environment = Environment::cast_with(&model.mesh, &soft, bvh, place, width, width / 2);
     let rest = count.saturating_sub(each * open.len()).max(1);
     let sources = sample(&environment.map, rest, settings.light_sampling);
-    points.chain(sources.iter().map(|source| Light::on_model(source, model, bvh, place))).collect()
+    points.chain(sources.iter().map(|stratum| Light::on_model(stratum, model, bvh, place))).collect()
 }
 
 /// A light of the environment as seen from one place.
@@ -56,8 +56,10 @@ pub struct Light {
     pub origin: ShadowOrigin,
     /// Irradiance that it gives at the environment's place to what faces it, plate units.
     pub power: [f32; 3],
-    /// Solid angle that it stands for, sr: its gloss is spread over that much.
+    /// Solid angle over which it is spread, sr, and so its gloss.
     pub extent_sr: f32,
+    /// Solid angle that it stands for, sr: those of all lights together fill the sphere.
+    pub solid_angle_sr: f32,
     /// Of a light on the model's surfaces.
     near: Option<Near>,
 }
@@ -86,6 +88,7 @@ impl Light {
             origin: ShadowOrigin::Direction(source.direction),
             power: source.radiance.map(|l| l * source.solid_angle_sr),
             extent_sr: source.solid_angle_sr,
+            solid_angle_sr: source.solid_angle_sr,
             near: None,
         }
     }
@@ -95,9 +98,14 @@ impl Light {
         Self { extent_sr: 0.0, ..self }
     }
 
+    /// The same of a part of an environment.
+    pub(crate) fn of_stratum(stratum: &Stratum) -> Self {
+        Self { extent_sr: stratum.extent_sr, ..Self::distant(&stratum.source) }
+    }
+
     /// On the front of the surface that the light is seen on from `place` (m), at infinity where there is none.
-    pub fn on_model(source: &DistantSource, model: &LightModel, bvh: &Bvh, place: Vec3) -> Self {
-        let mut light = Self::distant(source);
+    pub(crate) fn on_model(stratum: &Stratum, model: &LightModel, bvh: &Bvh, place: Vec3) -> Self {
+        let (mut light, source) = (Self::of_stratum(stratum), &stratum.source);
         let Some(hit) = bvh.closest(place, source.direction, 0.0, f32::INFINITY) else { return light };
         let normal = model.mesh.normal(hit.triangle as usize);
         let cosine = -normal.dot(source.direction);
@@ -157,7 +165,7 @@ mod tests {
             });
             let exact = |c: usize| texels(&environment).iter().map(|t| t.power[c]).sum::<f64>();
             for sampling in [LightSampling::Structured, LightSampling::MedianCut] {
-                let lights = sample(&environment, count, sampling);
+                let lights: Vec<_> = sample(&environment, count, sampling).iter().map(|s| s.source).collect();
                 prop_assert!(lights.len() == count, "{} {:?} for {}", lights.len(), sampling, count);
                 for c in 0..3 {
                     prop_assert!((total(&lights, c) / exact(c) - 1.0).abs() < 1e-5, "{:?}", sampling);
@@ -183,6 +191,7 @@ mod tests {
         let model = LightModel { mesh, distant: vec![] };
         let bvh = Bvh::new(&model.mesh.vertices, &model.mesh.triangles());
         let up = DistantSource { direction: Vec3::Y, solid_angle_sr: 0.01, radiance: [2.0; 3] };
+        let up = Stratum { source: up, extent_sr: 0.01 };
         let lamp = Light::on_model(&up, &model, &bvh, Vec3::ZERO);
         assert!((lamp.seen_from(Vec3::ZERO).1 - 1.0).abs() < 1e-3);
         let (direction, gain) = lamp.seen_from(Vec3::Y * -2.0);
@@ -191,7 +200,12 @@ mod tests {
             !lamp.hidden_by(&bvh, Vec3::ZERO) && lamp.seen_from(Vec3::Y * 3.0).1 == 0.0,
             "no light behind it"
         );
-        let sky = Light::on_model(&DistantSource { direction: Vec3::X, ..up }, &model, &bvh, Vec3::ZERO);
+        let sky = Light::on_model(
+            &Stratum { source: DistantSource { direction: Vec3::X, ..up.source }, ..up },
+            &model,
+            &bvh,
+            Vec3::ZERO,
+        );
         assert_eq!(sky.origin, ShadowOrigin::Direction(Vec3::X));
         assert_eq!(sky.seen_from(Vec3::Y * -2.0), (Vec3::X, 1.0));
     }

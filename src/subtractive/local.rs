@@ -76,6 +76,7 @@ mod tests {
     fn a_white_furnace_stays_white() {
         let environment = Environment { map: Image::from_fn(64, 32, |_, _| Radiance([2.0, 1.0, 0.5])) };
         let lights = sample(&environment.map, 1000, LightSampling::Structured);
+        let lights: Vec<DistantSource> = lights.iter().map(|s| s.source).collect();
         let viewer = Vec3::new(0.1, 0.2, 1.0).normalize();
         let facets = |roughness| {
             [

@@ -138,7 +138,7 @@ impl Lit<'_> {
         let hidden = gather(surface, self.brdf(surface), &self.lights, all, |i, direction| {
             let gone = self.gone(i, surface, direction);
             if gone == [1.0; 3] {
-                own += surface.normal.dot(direction) * self.lights[i].extent_sr / PI;
+                own += surface.normal.dot(direction) * self.lights[i].solid_angle_sr / PI;
             }
             if gone != [0.0; 3] && self.reaches(i, surface) { gone } else { [0.0; 3] }
         });

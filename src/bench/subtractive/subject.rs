@@ -1,6 +1,7 @@
 //! An object under an environment, and its pictures by many lights and by few.
 
 use crate::camera::Camera;
+use crate::illuminate::distant::Stratum;
 use crate::illuminate::patch::DistantSource;
 use crate::image::{Image, Radiance, RadianceImage};
 use crate::render::{Environment, Object, Scene, visible};
@@ -104,7 +105,7 @@ impl Subject {
     }
 
     /// Additive pictures by many lights, one a material.
-    pub fn references(&self, lights: &[DistantSource]) -> Vec<RadianceImage> {
+    pub fn references(&self, lights: &[Stratum]) -> Vec<RadianceImage> {
         let mut sums = vec![vec![[0.0f32; 3]; self.surfaces.pixels().len()]; MATERIALS.len()];
         for batch in lights.chunks(BATCH) {
             let (lights, casters) = self.draw(batch, Light::as_point);
@@ -124,7 +125,7 @@ impl Subject {
     }
 
     /// The picture light by light.
-    pub fn additive(&self, lights: &[DistantSource], material: usize) -> Shot {
+    pub fn additive(&self, lights: &[Stratum], material: usize) -> Shot {
         let started = Instant::now();
         let (lights, casters) = self.draw(lights, Light::as_point);
         let picture = self.added(&lights, &MATERIALS[material], |pixel, i, direction| {
@@ -135,19 +136,15 @@ impl Subject {
     }
 
     /// What does not depend on the number of shadow-casting lights.
-    pub fn unshadowed(
-        &self,
-        environment: &Environment,
-        material: usize,
-        many: &[DistantSource],
-    ) -> Unshadowed {
-        Unshadowed::new(environment, MATERIALS[material].brdf, self.viewer, many)
+    pub fn unshadowed(&self, environment: &Environment, material: usize, many: &[Stratum]) -> Unshadowed {
+        let many: Vec<DistantSource> = many.iter().map(|stratum| stratum.source).collect();
+        Unshadowed::new(environment, MATERIALS[material].brdf, self.viewer, &many)
     }
 
     /// Unshadowed light less the shadow buffer, one sample in `side`² pixels.
     pub fn subtractive(
         &self,
-        lights: &[DistantSource],
+        lights: &[Stratum],
         unshadowed: &Unshadowed,
         material: usize,
         side: usize,
@@ -177,8 +174,8 @@ impl Subject {
         Shot { picture: self.picture(pixels), ms: started.elapsed().as_secs_f64() * 1e3 }
     }
 
-    fn draw(&self, lights: &[DistantSource], of: fn(Light) -> Light) -> (Vec<Light>, Casters) {
-        let lights: Vec<Light> = lights.iter().map(|source| of(Light::distant(source))).collect();
+    fn draw(&self, lights: &[Stratum], of: fn(Light) -> Light) -> (Vec<Light>, Casters) {
+        let lights: Vec<Light> = lights.iter().map(|stratum| of(Light::of_stratum(stratum))).collect();
         let casters = Casters::on_itself(&lights, &self.occluder, MAP_PX);
         (lights, casters)
     }
