@@ -76,9 +76,13 @@ pub(crate) fn render_object(
         .collect();
     render_with(&scene, set.camera, set.scene_bvh, antialiasing, seed, |[x, y], samples, _| {
         let centre = surfaces.at(x, y).unwrap_or_else(|| Surface::of_object(&samples[0], pixel));
-        let [a, b, c, d, e, f, own] = buffer.at(x, y, &centre).unwrap_or_else(|| lit.hidden(&centre));
-        let hidden = Sent::from_array([a, b, c, d, e, f]);
+        let near = buffer.at(x, y, &centre);
         mean(samples, |sample| {
+            let surface = Surface::of_object(sample, pixel);
+            // Where parts of the object meet in a pixel, each has a shadow of its own.
+            let entry = near.filter(|_| surface.adjoins(&centre)).unwrap_or_else(|| lit.hidden(&surface));
+            let [a, b, c, d, e, f, own] = entry;
+            let hidden = Sent::from_array([a, b, c, d, e, f]);
             let material = &object.materials[sample.material as usize];
             let open = irradiance(sample.position, sample.normal);
             let cos = -sample.view.dot(sample.normal);
