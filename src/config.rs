@@ -289,6 +289,19 @@ pub enum ShadowMethod {
     RadianceTransfer,
     /// The same, subtracted from the stored codes in 8 bits (gibson §7.1); on the CPU whatever the back end.
     RadianceTransferLdr,
+    /// Lights of the environment at the object's place and a coarse shadow buffer (decoro2008); on the CPU whatever the
+    /// back end.
+    Subtractive,
+}
+
+/// How the method `subtractive` finds the lights that stand for an environment.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum LightSampling {
+    /// By power and extent, bright regions first (Agarwal et al. 2003).
+    Structured,
+    /// Into cells of equal power (Debevec 2005).
+    MedianCut,
 }
 
 /// Where shadow maps are made and subtracted.
@@ -352,7 +365,8 @@ settings! {
         passes: usize = 50,
         /// Hard shadows (small shadow maps) of which each cluster's soft one is made, on average; 1 for the paper's one.
         origins: usize = 8,
-        /// Time for a frame, ms: no more passes than earlier frames say can be done in it; 0 for any.
+        /// Time for a frame, ms: no more passes (`subtractive`: lights and samples) than earlier frames say can be done in it;
+        /// 0 for any.
         frame_ms: f64 = 0.0,
         /// Relative shadow error: no more passes than it needs by estimate; 0 for as many as `passes` says.
         max_error: f64 = 0.0,
@@ -362,6 +376,14 @@ settings! {
         first_set_share: f64 = 0.5,
         /// Shadow rays per pixel of the method `raytraced`.
         rays: usize = 1024,
+        /// Lights of the method `subtractive` (illumination detail).
+        lights: usize = 200,
+        /// How they are found.
+        light_sampling: LightSampling = LightSampling::Structured,
+        /// Pixels that share a sample of its shadow buffer: 1, 4, 16, 64, 256 or 1024 (sampling detail).
+        pixels_per_sample: usize = 4,
+        /// The object of the method `subtractive` is lit light by light instead, to compare.
+        additive: bool = false,
         /// Seed of all random choices.
         seed: u64 = 1,
     }

@@ -11,7 +11,7 @@
 //! ```
 //!
 //! One module a stage, in the order of the data: [`exposure`] (ingest), [`response`], [`merge`], [`calibrate`], [`probe`],
-//! [`model`], [`illuminate`], [`irradiance`], [`transfer`], [`render`] with [`shadow`], [`composite`], [`evaluate`]. What
+//! [`model`], [`illuminate`], [`irradiance`], [`transfer`], [`render`] with [`shadow`] and [`subtractive`], [`composite`], [`evaluate`]. What
 //! several of them need: [`image`], [`camera`], [`visibility`], [`sh`], [`least_squares`], [`vision`] (OpenCV), [`gpu`].
 //! What joins them: [`config`] (`pipeline.toml`), [`annotations`], [`artefact`] (files between stages), [`stage`] (the table
 //! of stages and how one runs), [`driver`] (the program `insitu`). Only [`printer`] prints.
@@ -31,6 +31,8 @@
 //!
 //! - **gibson**: Gibson, Cook, Howard, Hubbold: Rapid Shadow Generation in Real-World Lighting Environments, EGSR 2003.
 //! - **tutorial**: Gibson, Chalmers: Photorealistic Augmented Reality, Eurographics 2003 tutorial.
+//! - **decoro2008**: DeCoro, Rusinkiewicz: Subtractive Shadows: A Flexible Framework for Shadow Level of Detail, JGT 13(1), 2008.
+//! - Agarwal, Ramamoorthi, Belongie, Jensen: Structured Importance Sampling of Environment Maps, SIGGRAPH 2003.
 //! - Debevec, Malik: Recovering High Dynamic Range Radiance Maps from Photographs, SIGGRAPH 1997.
 //! - Debevec: Rendering Synthetic Objects into Real Scenes, SIGGRAPH 1998.
 //! - Debevec: A Median Cut Algorithm for Light Probe Sampling, SIGGRAPH 2005 poster.
@@ -63,6 +65,7 @@ pub mod response;
 pub mod sh;
 pub mod shadow;
 pub mod stage;
+pub mod subtractive;
 pub mod synthetic;
 pub mod transfer;
 pub mod visibility;

@@ -13,6 +13,7 @@ mod passes;
 mod plot;
 mod statics;
 mod subject;
+mod subtractive;
 mod triptych;
 mod truth;
 
@@ -47,17 +48,21 @@ pub enum Table {
     Breakdown,
     /// The methods against a capture's truth, with the true scene model.
     Truth,
+    /// Subtractive and additive shadows by lights and sampling detail (decoro2008, Figures 3 and 5), on the environments of
+    /// a folder, with a plot.
+    Subtractive,
 }
 
 /// What a plain `insitu bench` prints.
 const USUAL: [Table; 3] = [Table::Stages, Table::Frames, Table::Passes];
 
 /// Runs what is stale, then prints the tables asked for, the usual ones where none is named.
-/// `pictures` is a folder for what tables draw.
+/// `environments` is a folder of environment maps, `pictures` one for what tables draw.
 pub fn bench(
     paths: &[PathBuf],
     frames: usize,
     tables: &[Table],
+    environments: Option<&Path>,
     pictures: Option<&Path>,
     printer: &Printer,
 ) -> Result<()> {
@@ -82,6 +87,7 @@ pub fn bench(
             Table::Ldr => ldr::print(&settings, &ready(&settings, printer)?, pictures, printer)?,
             Table::Breakdown => breakdown::print(&settings, printer)?,
             Table::Truth => truth::print(&settings, pictures, printer)?,
+            Table::Subtractive => subtractive::print(&settings, environments, pictures, printer)?,
             Table::Stages | Table::Frames => {
                 for (file, workspace) in settings.iter().zip(ready(&settings, printer)?) {
                     printer.data(&format!("{}: {threads} threads; times in ms", validate::name(file)));

@@ -89,6 +89,8 @@ const RANGES: &[(&str, &str, Range)] = &[
     ("render", "caster_triangles", From(0.0, 1e9)),
     ("render", "first_set_share", From(0.0, 1.0)),
     ("render", "rays", From(2.0, 1e6)),
+    ("render", "lights", From(1.0, 100_000.0)),
+    ("render", "pixels_per_sample", From(1.0, 1024.0)),
     ("composite", "exposure_ev", From(-30.0, 30.0)),
 ];
 

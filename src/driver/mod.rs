@@ -97,6 +97,9 @@ enum Command {
         /// Only these tables.
         #[arg(long = "table", value_enum)]
         tables: Vec<bench::Table>,
+        /// Folder of environment maps (latlong, .hdr or .exr) for the table `subtractive`.
+        #[arg(long, value_name = "DIR")]
+        environments: Option<PathBuf>,
         /// Folder for the pictures and plots of the tables that have some.
         #[arg(long, value_name = "DIR")]
         pictures: Option<PathBuf>,
@@ -125,8 +128,8 @@ fn start() -> ExitCode {
             }
         }
         Command::New { folder } => new::new(&folder, &printer),
-        Command::Bench { pipelines, frames, tables, pictures } => {
-            bench::bench(&pipelines, frames, &tables, pictures.as_deref(), &printer)
+        Command::Bench { pipelines, frames, tables, environments, pictures } => {
+            bench::bench(&pipelines, frames, &tables, environments.as_deref(), pictures.as_deref(), &printer)
         }
     };
     cli::exit(&printer, outcome)

@@ -41,13 +41,37 @@ impl Layer<'_> {
     }
 }
 
-struct Texel {
-    x: usize,
-    y: usize,
-    direction: Vec3,
-    solid_angle: f64,
+/// A texel of an environment, as a part of sources.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Texel {
+    pub x: usize,
+    pub y: usize,
+    pub direction: Vec3,
+    /// Free solid angle, sr.
+    pub solid_angle: f64,
     /// Radiance × free solid angle.
-    power: [f64; 3],
+    pub power: [f64; 3],
+}
+
+/// All texels of an environment, row by row.
+pub(crate) fn texels(radiance: &RadianceImage) -> Vec<Texel> {
+    let (w, h) = radiance.size();
+    let texel = |(i, radiance): (usize, &Radiance)| Texel::new(i, w, h, radiance.0, 1.0);
+    radiance.pixels().iter().enumerate().map(texel).collect()
+}
+
+impl Texel {
+    fn new(i: usize, width: usize, height: usize, radiance: [f32; 3], share: f32) -> Self {
+        let (x, y) = (i % width, i / width);
+        let solid_angle = latlong::texel_solid_angle(y, width, height) * f64::from(share);
+        Self {
+            x,
+            y,
+            direction: latlong::direction(x as f32 + 0.5, y as f32 + 0.5, width, height),
+            solid_angle,
+            power: radiance.map(|l| f64::from(l.max(0.0)) * solid_angle),
+        }
+    }
 }
 
 fn weight(power: &[f64; 3]) -> f64 {
@@ -60,23 +84,20 @@ pub fn cut(layer: &Layer, count: usize, blur: impl Fn(Vec3) -> f64) -> Distant {
     let (w, h) = layer.radiance.size();
     let mut texels: Vec<Texel> = (0..w * h)
         .filter(|&i| layer.share[i] > 0.0)
-        .map(|i| {
-            let (x, y) = (i % w, i / w);
-            let solid_angle = latlong::texel_solid_angle(y, w, h) * f64::from(layer.share[i]);
-            Texel {
-                x,
-                y,
-                direction: latlong::direction(x as f32 + 0.5, y as f32 + 0.5, w, h),
-                solid_angle,
-                power: layer.radiance.pixels()[i].0.map(|l| f64::from(l.max(0.0)) * solid_angle),
-            }
-        })
+        .map(|i| Texel::new(i, w, h, layer.radiance.pixels()[i].0, layer.share[i]))
         .collect();
     let mut distant = Distant::default();
     if let Some((source, radius)) = split_sun(&mut texels, blur) {
         distant.sources.push(source);
         distant.sun_radius = Some(radius);
     }
+    distant.sources.extend(median_cut(texels, [w, h], count).iter().map(|s| s.source));
+    distant
+}
+
+/// Cuts the texels of a map of some size (px) into at most `count` cells of about equal power (Debevec 2005), each a
+/// source of the cell's whole power.
+pub(crate) fn median_cut(texels: Vec<Texel>, [w, h]: [usize; 2], count: usize) -> Vec<Stratum> {
     let mut cells = vec![texels];
     while cells.len() < count.max(1) {
         // The strongest cell that can still be cut.
@@ -90,28 +111,42 @@ pub fn cut(layer: &Layer, count: usize, blur: impl Fn(Vec3) -> f64) -> Distant {
         cells.push(a);
         cells.push(b);
     }
-    distant.sources.extend(cells.iter().filter_map(|c| source(c)));
-    distant
+    cells.iter().filter_map(|c| stratum(c)).collect()
+}
+
+/// Texels that one source stands for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Stratum {
+    /// The source, with the solid angle of all of them.
+    pub source: DistantSource,
+    /// Solid angle of the cap over which the light itself is spread, sr: less where a lamp shines among dark texels.
+    pub extent_sr: f32,
 }
 
 /// One source of a cell's whole power, in the direction of its power's centroid.
-fn source(cell: &[Texel]) -> Option<DistantSource> {
+pub(crate) fn stratum(cell: &[Texel]) -> Option<Stratum> {
     let (mut power, mut moment, mut solid_angle) = ([0.0f64; 3], nalgebra::Vector3::zeros(), 0.0);
+    let mut texel = 0.0;
     for t in cell {
         (0..3).for_each(|k| power[k] += t.power[k]);
         let d = t.direction;
         moment += nalgebra::Vector3::new(f64::from(d.x), f64::from(d.y), f64::from(d.z)) * weight(&t.power);
         solid_angle += t.solid_angle;
+        texel += t.solid_angle * weight(&t.power);
     }
-    if weight(&power) <= 0.0 || moment.norm() <= 0.0 {
+    let whole: f64 = cell.iter().map(|t| weight(&t.power)).sum();
+    if whole <= 0.0 || moment.norm() <= 0.0 {
         return None;
     }
     let d = moment.normalize();
-    Some(DistantSource {
+    let source = DistantSource {
         direction: Vec3::new(d.x as f32, d.y as f32, d.z as f32),
         solid_angle_sr: solid_angle as f32,
         radiance: power.map(|p| (p / solid_angle) as f32),
-    })
+    };
+    // The mean direction of a cap of half angle α has length (1 + cos α)/2.
+    let cap = 4.0 * std::f64::consts::PI * (1.0 - moment.norm() / whole).max(0.0);
+    Some(Stratum { source, extent_sr: (cap + texel / whole).min(solid_angle) as f32 })
 }
 
 /// Cuts across the longer side of the cell so that both parts have nearly half the power; neither is empty.
@@ -165,7 +200,7 @@ fn split_sun(texels: &mut [Texel], blur: impl Fn(Vec3) -> f64) -> Option<(Distan
         (0..3).for_each(|k| t.power[k] -= excess[k]);
         taken.push(Texel { power: excess, ..*t });
     }
-    let mut sun = source(&taken)?;
+    let mut sun = stratum(&taken)?.source;
     let power: f64 = taken.iter().map(|t| weight(&t.power)).sum();
     if power < SUN_MIN_SHARE * whole {
         for t in &taken {

@@ -59,11 +59,25 @@ pub fn render(
     antialiasing: usize,
     seed: u64,
 ) -> Rendered {
-    let (width, height) = (camera.intrinsics.width_px as usize, camera.intrinsics.height_px as usize);
-    let side = antialiasing.max(1);
     let bvh = Bvh::new(&object.vertices, &object.triangles);
     let scene = Scene::new(object, &bvh);
-    let window = window(object, camera);
+    let radiance = |_, samples: &[Sample], rng: &mut SmallRng| shade(&scene, lighting, samples, rng);
+    render_with(&scene, camera, scene_bvh, antialiasing, seed, radiance)
+}
+
+/// The same, with the mean radiance (plate units) of a pixel's samples given by `radiance` of its column and row, the
+/// samples, which are never none, and random numbers of its own.
+pub(crate) fn render_with(
+    scene: &Scene,
+    camera: &Camera,
+    scene_bvh: &Bvh,
+    antialiasing: usize,
+    seed: u64,
+    radiance: impl Fn([usize; 2], &[Sample], &mut SmallRng) -> [f32; 3] + Sync,
+) -> Rendered {
+    let (width, height) = (camera.intrinsics.width_px as usize, camera.intrinsics.height_px as usize);
+    let side = antialiasing.max(1);
+    let window = window(scene.object, camera);
     let share = 1.0 / (side * side) as f32;
     let rows: Vec<Vec<Pixel>> = (window[1]..window[3])
         .into_par_iter()
@@ -79,7 +93,7 @@ pub fn render(
                         x as f64 + place(s % side, rng.random()),
                         y as f64 + place(s / side, rng.random()),
                     );
-                    match see(&scene, camera, scene_bvh, &pixel) {
+                    match see(scene, camera, scene_bvh, &pixel) {
                         Seen::Object(sample) => samples.push(sample),
                         Seen::Hidden => hidden += 1,
                         Seen::Nothing => {}
@@ -91,7 +105,7 @@ pub fn render(
                 }
                 let coverage = samples.len() as f32 * share;
                 let depth = samples.iter().map(|s| s.depth).sum::<f32>() / samples.len() as f32;
-                let radiance = shade(&scene, lighting, &samples, &mut rng);
+                let radiance = radiance([x, y], &samples, &mut rng);
                 Pixel { colour: radiance.map(|v| v * coverage), coverage, depth, hidden }
             });
             row.collect()
@@ -116,6 +130,23 @@ pub fn render(
         }
     }
     rendered
+}
+
+/// What the centre of each pixel sees of the object, nothing where the scene hides it.
+pub(crate) fn visible(scene: &Scene, camera: &Camera, scene_bvh: &Bvh) -> Image<Option<Sample>> {
+    let (width, height) = (camera.intrinsics.width_px as usize, camera.intrinsics.height_px as usize);
+    let [left, top, right, bottom] = window(scene.object, camera);
+    let pixel = |i: usize| {
+        let (x, y) = (i % width, i / width);
+        if !(left..right).contains(&x) || !(top..bottom).contains(&y) {
+            return None;
+        }
+        match see(scene, camera, scene_bvh, &Point2::new(x as f64 + 0.5, y as f64 + 0.5)) {
+            Seen::Object(sample) => Some(sample),
+            _ => None,
+        }
+    };
+    Image::from_pixels(width, height, (0..width * height).into_par_iter().map(pixel).collect())
 }
 
 #[derive(Debug, Clone, Copy, Default)]

@@ -10,6 +10,7 @@ mod normals;
 mod object;
 mod phong;
 mod placement;
+mod prefilter;
 mod reflected;
 mod set;
 mod shade;
@@ -18,13 +19,16 @@ pub use cells::Cells;
 pub use environment::Environment;
 pub use frames::{Frame, Frames};
 pub use layer::{Layer, Rendered, render};
+pub(crate) use layer::{render_with, visible};
 pub use load::load_object;
 pub use object::{Material, Object, Soup, Triangle};
 pub use phong::{Lobe, directional_albedo};
 pub use placement::{check_placement, motions, world_from_object};
+pub use prefilter::Prefiltered;
 pub use reflected::Reflector;
 pub use set::{Set, Shaded};
-pub use shade::{Lighting, Shadowed};
+pub use shade::{IrradianceAt, Lighting, Shadowed};
+pub(crate) use shade::{Sample, Scene};
 
 /// Why an object cannot be rendered.
 #[derive(Debug, thiserror::Error, PartialEq)]

@@ -1,8 +1,7 @@
 //! The Phong lobe against an environment, in the normalised form (n + 2)/2π cosⁿα (Lafortune and Willems 1994).
 
 use super::environment::Environment;
-use crate::image::{Image, Radiance, RadianceImage};
-use crate::probe::latlong;
+use super::prefilter::Prefiltered;
 use glam::Vec3;
 use rayon::prelude::*;
 use std::f32::consts::{PI, TAU};
@@ -10,7 +9,7 @@ use std::f32::consts::{PI, TAU};
 /// What a lobe of one exponent reflects, by direction of its axis and angle of incidence.
 #[derive(Debug, Clone)]
 pub struct Lobe {
-    map: RadianceImage,
+    means: Prefiltered,
     albedo: Vec<f32>,
 }
 
@@ -18,48 +17,22 @@ pub struct Lobe {
 const ANGLES: usize = 64;
 
 impl Lobe {
-    /// Means of the environment under cosⁿα about each axis, by direct summation, and the lobe's albedo.
+    /// Means of the environment under cosⁿα about each axis, and the lobe's albedo.
     pub fn new(environment: &Environment, exponent: f32) -> Self {
-        let (w, h) = environment.map.size();
-        // A broad lobe needs few axes: its half width is √(2/n).
-        let (width, height) = if exponent < 200.0 { (w.min(64), h.min(32)) } else { (w, h) };
-        let texels: Vec<(Vec3, f32)> = (0..w * h).map(|i| environment.texel(i)).collect();
         let cut = 1e-6f32.powf(1.0 / exponent.max(1e-3));
-        let pixels = (0..width * height)
-            .into_par_iter()
-            .map(|i| {
-                let axis =
-                    latlong::direction((i % width) as f32 + 0.5, (i / width) as f32 + 0.5, width, height);
-                let (mut sum, mut total) = ([0.0f64; 3], 0.0f64);
-                for ((direction, solid_angle), radiance) in texels.iter().zip(environment.map.pixels()) {
-                    let cos = axis.dot(*direction).min(1.0);
-                    if cos > cut {
-                        let weight = f64::from(cos.powf(exponent) * solid_angle);
-                        total += weight;
-                        (0..3).for_each(|k| sum[k] += weight * f64::from(radiance.0[k]));
-                    }
-                }
-                if total > 0.0 {
-                    Radiance(sum.map(|v| (v / total) as f32))
-                } else {
-                    // A lobe narrower than a texel mirrors.
-                    let (x, y) = latlong::pixel(axis, w, h);
-                    environment.map.bilinear(f64::from(x), f64::from(y))
-                }
-            })
-            .collect();
+        let means = Prefiltered::new(environment, exponent, cut, |cos| cos.powf(exponent));
         let albedo = (0..ANGLES)
             .into_par_iter()
             .map(|i| directional_albedo(exponent, PI / 2.0 * i as f32 / (ANGLES - 1) as f32))
             .collect();
-        Self { map: Image::from_pixels(width, height, pixels), albedo }
+        Self { means, albedo }
     }
 
     /// Radiance that a lobe of specular reflectance 1 sends back, its axis along the mirror direction `axis` and
     /// the cosine of incidence `cos`.
     pub fn reflected(&self, axis: Vec3, cos: f32) -> [f32; 3] {
         let albedo = self.albedo(cos);
-        self.radiance(axis).map(|v| v * albedo)
+        self.means.radiance(axis).map(|v| v * albedo)
     }
 
     /// Share of light reflected at a cosine of incidence.
@@ -67,21 +40,6 @@ impl Lobe {
         let at = cos.clamp(0.0, 1.0).acos() / (PI / 2.0) * (ANGLES - 1) as f32;
         let i = (at as usize).min(ANGLES - 2);
         self.albedo[i] + (self.albedo[i + 1] - self.albedo[i]) * (at - i as f32)
-    }
-
-    /// Bilinear, around the seam.
-    fn radiance(&self, axis: Vec3) -> [f32; 3] {
-        let (w, h) = self.map.size();
-        let (x, y) = latlong::pixel(axis, w, h);
-        let (fx, fy) = (x - 0.5, (y - 0.5).clamp(0.0, (h - 1) as f32));
-        let (ax, ay) = (fx - fx.floor(), fy - fy.floor());
-        let column = |k: i64| (fx.floor() as i64 + k).rem_euclid(w as i64) as usize;
-        let row = |k: usize| (fy as usize + k).min(h - 1);
-        let at = |i: i64, j: usize| self.map.at(column(i), row(j)).0;
-        let (a, b, c, d) = (at(0, 0), at(1, 0), at(0, 1), at(1, 1));
-        std::array::from_fn(|k| {
-            (a[k] * (1.0 - ax) + b[k] * ax) * (1.0 - ay) + (c[k] * (1.0 - ax) + d[k] * ax) * ay
-        })
     }
 }
 
@@ -106,6 +64,7 @@ pub fn directional_albedo(exponent: f32, incidence_rad: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::image::{Image, Radiance};
 
     #[test]
     fn the_lobe_never_sends_more_than_it_gets() {

@@ -6,11 +6,12 @@ use super::object::Object;
 use super::reflected::Reflector;
 use super::shade::{Lighting, Shadowed};
 use crate::camera::Camera;
-use crate::config;
+use crate::config::{self, ShadowMethod};
 use crate::illuminate::patch::LightModel;
 use crate::image::RadianceImage;
 use crate::irradiance::{Beams, Volume};
 use crate::shadow::Receivers;
+use crate::subtractive::render_object;
 use crate::transfer::Transfers;
 use crate::visibility::Bvh;
 
@@ -59,7 +60,10 @@ impl Set<'_> {
         let rays = self.settings.shading_rays;
         let lighting = Lighting::new(&irradiance, &environment, object, rays, Some(&shadowed));
         let (antialiasing, seed) = (self.settings.antialiasing, self.settings.seed);
-        let rendered = render(object, self.camera, self.scene_bvh, &lighting, antialiasing, seed);
+        let rendered = match self.settings.method {
+            ShadowMethod::Subtractive => render_object(self, object, &environment, &irradiance, &shadowed),
+            _ => render(object, self.camera, self.scene_bvh, &lighting, antialiasing, seed),
+        };
         let total = |receiver: &_| self.transfers.irradiance_on(receiver);
         let rays = self.settings.reflected_rays;
         let reflected = Reflector::new(object, &lighting, seed).onto(

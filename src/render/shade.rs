@@ -42,7 +42,7 @@ pub struct Shadowed<'a> {
 
 /// A point of the object that the camera sees.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Sample {
+pub(crate) struct Sample {
     pub position: Vec3,
     /// Shading normal, on the camera's side.
     pub normal: Vec3,
@@ -81,7 +81,7 @@ impl<'a> Lighting<'a> {
 
 impl Shadowed<'_> {
     /// Share of the scene's radiance along a ray that the object's shadow leaves; 1 where the plate does not show it.
-    fn left(&self, origin: Vec3, direction: Vec3) -> [f32; 3] {
+    pub(crate) fn left(&self, origin: Vec3, direction: Vec3) -> [f32; 3] {
         let Some(hit) = self.scene.closest(origin, direction, 0.0, f32::INFINITY) else { return [1.0; 3] };
         let p = origin + direction * hit.t;
         let Some(pixel) = self.camera.project(&Point3::from(p.as_dvec3().to_array())) else {
@@ -103,7 +103,7 @@ impl Shadowed<'_> {
 }
 
 /// The object, ready for rays.
-pub(super) struct Scene<'a> {
+pub(crate) struct Scene<'a> {
     pub object: &'a Object,
     pub bvh: &'a Bvh,
     /// Distance by which rays leave a surface, m.

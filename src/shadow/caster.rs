@@ -26,9 +26,9 @@ impl Caster {
     pub fn of(occluder: &Occluder, settings: &Render) -> Self {
         match settings.method {
             ShadowMethod::Raytraced => Self::new(occluder, 0),
-            ShadowMethod::RadianceTransfer | ShadowMethod::RadianceTransferLdr => {
-                Self::new(occluder, settings.caster_triangles)
-            }
+            ShadowMethod::RadianceTransfer
+            | ShadowMethod::RadianceTransferLdr
+            | ShadowMethod::Subtractive => Self::new(occluder, settings.caster_triangles),
         }
     }
 

@@ -132,6 +132,9 @@ pub enum Problem {
     /// Codes are to be subtracted, and there are none.
     #[error("the plate is linear: it has no stored codes")]
     NoCodes,
+    /// No environment to take lights from.
+    #[error("no light arrives at the object's place")]
+    Dark,
     /// The graphics processor.
     #[error(transparent)]
     Gpu(#[from] gpu::Problem),
@@ -148,6 +151,10 @@ impl error::Problem for Problem {
             Self::Setting { name, range, .. } => format!("set render.{name} to {range}"),
             Self::NoCodes => {
                 "set render.method to \"radiance-transfer\", or give the plate as a photograph".into()
+            }
+            Self::Dark => {
+                "check that the object does not stand inside something, and the light that `illuminate` found"
+                    .into()
             }
             Self::Gpu(problem) => problem.hint(),
         }

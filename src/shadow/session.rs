@@ -5,6 +5,7 @@ use super::plan::Outlook;
 use super::{Occluder, Problem, RadianceTransfer, Removed, Scene, raytraced};
 use crate::config::{Backend, Render, ShadowMethod};
 use crate::gpu;
+use crate::subtractive::Subtractive;
 use std::time::Instant;
 
 /// A shadow method, prepared for a scene.
@@ -19,6 +20,7 @@ enum Method<'a> {
     Raytraced,
     Cpu(Box<RadianceTransfer<'a>>),
     Gpu(Box<gpu::RadianceTransfer<'a>>),
+    Subtractive(Box<Subtractive<'a>>),
 }
 
 /// A frame of a session.
@@ -35,6 +37,9 @@ impl<'a> Session<'a> {
     pub fn prepare(scene: &Scene<'a>, settings: &Render) -> Result<Self, Problem> {
         let method = match (settings.method, settings.backend) {
             (ShadowMethod::Raytraced, _) => Method::Raytraced,
+            (ShadowMethod::Subtractive, _) => {
+                Method::Subtractive(Box::new(Subtractive::prepare(scene, settings)?))
+            }
             // Codes are subtracted on the CPU alone.
             (ShadowMethod::RadianceTransfer, Backend::Cpu) | (ShadowMethod::RadianceTransferLdr, _) => {
                 Method::Cpu(Box::new(RadianceTransfer::prepare(scene, settings)?))
@@ -53,6 +58,7 @@ impl<'a> Session<'a> {
         let Self { settings, pace, .. } = self;
         let removed = match &mut self.method {
             Method::Raytraced => raytraced(&self.scene, occluder, settings)?,
+            Method::Subtractive(method) => method.frame(occluder)?,
             Method::Cpu(method) => {
                 occluder.check()?;
                 let outlook = method.outlook(occluder);

@@ -1,0 +1,212 @@
+//! The environment as a few lights (decoro2008, §2, step 1), and where they lie.
+
+use super::structured::structured;
+use crate::config::{LightSampling, Render};
+use crate::illuminate::distant::{Stratum, median_cut, texels};
+use crate::illuminate::patch::{DistantSource, LightModel};
+use crate::image::RadianceImage;
+use crate::irradiance::split_beams;
+use crate::render::Environment;
+use crate::shadow::ShadowOrigin;
+use crate::transfer::sampling::{Shift, in_cap};
+use crate::visibility::Bvh;
+use glam::Vec3;
+use std::f32::consts::PI;
+
+/// At most `count` lights with all the power of a `latlong` environment; none where that is black.
+pub(crate) fn sample(environment: &RadianceImage, count: usize, sampling: LightSampling) -> Vec<Stratum> {
+    match sampling {
+        LightSampling::Structured => structured(environment, count),
+        LightSampling::MedianCut => {
+            let (width, height) = environment.size();
+            median_cut(texels(environment), [width, height], count)
+        }
+    }
+}
+
+/// The lights of a scene model at `place` (m), most of them on its surfaces. A beam (the sun) is no part of the sampled
+/// environment, whose texels would move it: it is as many lights all over its disc as a tenth of all.
+pub(crate) fn lights_at(
+    model: &LightModel,
+    bvh: &Bvh,
+    place: Vec3,
+    count: usize,
+    settings: &Render,
+) -> Vec<Light> {
+    let width = settings.environment_px.max(8);
+    let (beams, soft) = split_beams(&model.distant);
+    let open: Vec<_> =
+        beams.into_iter().filter(|b| !bvh.any_hit(place, b.direction, 0.0, f32::INFINITY)).collect();
+    let each = if open.is_empty() { 0 } else { (count / 10 / open.len()).max(1) };
+    let points = open.iter().flat_map(|beam| {
+        let share = DistantSource { solid_angle_sr: beam.solid_angle_sr / each as f32, ..*beam };
+        let point = |i| in_cap(beam.direction, beam.angular_radius(), Shift::new(0, 0).point(i));
+        (0..each as u32).map(move |i| Light::distant(&DistantSource { direction: point(i), ..share }))
+    });
+    let environment = Environment::cast_with(&model.mesh, &soft, bvh, place, width, width / 2);
+    let rest = count.saturating_sub(each * open.len()).max(1);
+    let sources = sample(&environment.map, rest, settings.light_sampling);
+    points.chain(sources.iter().map(|stratum| Light::on_model(stratum, model, bvh, place))).collect()
+}
+
+/// A light of the environment as seen from one place.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Light {
+    /// Where it shines from.
+    pub origin: ShadowOrigin,
+    /// Irradiance that it gives at the environment's place to what faces it, plate units.
+    pub power: [f32; 3],
+    /// Solid angle over which it is spread, sr, and so its gloss.
+    pub extent_sr: f32,
+    /// Solid angle that it stands for, sr: those of all lights together fill the sphere.
+    pub solid_angle_sr: f32,
+    /// Of a light on the model's surfaces.
+    near: Option<Near>,
+}
+
+/// What makes a near light weaker or stronger elsewhere.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Near {
+    /// Normal of the surface that sends it.
+    normal: Vec3,
+    /// Cosine at that surface towards the environment's place, over (r² + A/π) there, with A the area of the stratum: the
+    /// form factor of a disc on its axis, which stays finite where it is touched.
+    reference: f32,
+    /// A/π, m².
+    spread: f32,
+}
+
+/// A surface seen more obliquely from the environment's place than by this cosine counts as so oblique.
+const LEAST_COSINE: f32 = 0.1;
+/// Near lights lie before their surface by this much, m.
+const BEFORE_M: f32 = 1e-4;
+
+impl Light {
+    /// At infinity, as the paper has all of them.
+    pub fn distant(source: &DistantSource) -> Self {
+        Self {
+            origin: ShadowOrigin::Direction(source.direction),
+            power: source.radiance.map(|l| l * source.solid_angle_sr),
+            extent_sr: source.solid_angle_sr,
+            solid_angle_sr: source.solid_angle_sr,
+            near: None,
+        }
+    }
+
+    /// The same as a point, whose gloss is as narrow as the material's: what additive shadows are made of.
+    pub fn as_point(self) -> Self {
+        Self { extent_sr: 0.0, ..self }
+    }
+
+    /// The same of a part of an environment.
+    pub(crate) fn of_stratum(stratum: &Stratum) -> Self {
+        Self { extent_sr: stratum.extent_sr, ..Self::distant(&stratum.source) }
+    }
+
+    /// On the front of the surface that the light is seen on from `place` (m), at infinity where there is none.
+    pub(crate) fn on_model(stratum: &Stratum, model: &LightModel, bvh: &Bvh, place: Vec3) -> Self {
+        let (mut light, source) = (Self::of_stratum(stratum), &stratum.source);
+        let Some(hit) = bvh.closest(place, source.direction, 0.0, f32::INFINITY) else { return light };
+        let normal = model.mesh.normal(hit.triangle as usize);
+        let cosine = -normal.dot(source.direction);
+        if cosine <= 0.0 {
+            return light;
+        }
+        let cosine = cosine.max(LEAST_COSINE);
+        let spread = source.solid_angle_sr * hit.t * hit.t / cosine / PI;
+        light.origin = ShadowOrigin::Point(place + source.direction * hit.t + normal * BEFORE_M);
+        light.near = Some(Near { normal, reference: cosine / (hit.t * hit.t + spread), spread });
+        light
+    }
+
+    /// Unit direction towards the light at a position (m), and its irradiance there over `power`.
+    pub fn seen_from(&self, position: Vec3) -> (Vec3, f32) {
+        let (origin, near) = match (self.origin, self.near) {
+            (ShadowOrigin::Point(origin), Some(near)) => (origin, near),
+            (ShadowOrigin::Point(origin), None) => return ((origin - position).normalize_or_zero(), 1.0),
+            (ShadowOrigin::Direction(direction), _) => return (direction, 1.0),
+        };
+        let to = origin - position;
+        let direction = to.normalize_or_zero();
+        let cosine = -near.normal.dot(direction);
+        (direction, (cosine / (to.length_squared() + near.spread) / near.reference).max(0.0))
+    }
+
+    /// Whether a scene hides the light from a position that lies off its surfaces.
+    pub fn hidden_by(&self, scene: &Bvh, position: Vec3) -> bool {
+        match self.origin {
+            ShadowOrigin::Point(origin) => scene.occluded(position, origin),
+            ShadowOrigin::Direction(direction) => scene.any_hit(position, direction, 0.0, f32::INFINITY),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::illuminate::patch::PatchMesh;
+    use crate::image::{Image, Radiance};
+    use crate::synthetic::face;
+    use proptest::prelude::*;
+
+    fn total(sources: &[DistantSource], channel: usize) -> f64 {
+        sources.iter().map(|s| f64::from(s.radiance[channel]) * f64::from(s.solid_angle_sr)).sum()
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(24))]
+        #[test]
+        fn lights_keep_all_power_and_the_whole_sphere(
+            count in 1usize..120, lamp in 0usize..32 * 16, bright in 1.0..1e5f32, tilt in 0.0..1.0f32,
+        ) {
+            let environment = Image::from_fn(32, 16, |x, y| {
+                let base = 1.0 + tilt * (x as f32 * 0.7).sin();
+                Radiance([if y * 32 + x == lamp { bright } else { base }, base, 0.5 * y as f32])
+            });
+            let exact = |c: usize| texels(&environment).iter().map(|t| t.power[c]).sum::<f64>();
+            for sampling in [LightSampling::Structured, LightSampling::MedianCut] {
+                let lights: Vec<_> = sample(&environment, count, sampling).iter().map(|s| s.source).collect();
+                prop_assert!(lights.len() == count, "{} {:?} for {}", lights.len(), sampling, count);
+                for c in 0..3 {
+                    prop_assert!((total(&lights, c) / exact(c) - 1.0).abs() < 1e-5, "{:?}", sampling);
+                }
+                let sphere: f64 = lights.iter().map(|l| f64::from(l.solid_angle_sr)).sum();
+                prop_assert!((sphere / (4.0 * std::f64::consts::PI) - 1.0).abs() < 1e-5);
+            }
+        }
+    }
+
+    #[test]
+    fn darkness_has_no_lights() {
+        let black = Image::from_fn(16, 8, |_, _| Radiance::default());
+        for sampling in [LightSampling::Structured, LightSampling::MedianCut] {
+            assert!(sample(&black, 10, sampling).is_empty());
+        }
+    }
+
+    #[test]
+    fn a_near_light_is_weaker_farther_away_and_one_at_infinity_is_not() {
+        let mut mesh = PatchMesh::default();
+        face(&mut mesh, Vec3::new(-1.0, 2.0, -1.0), Vec3::X * 2.0, Vec3::Z * 2.0, 0.5, |_| [1.0; 3]);
+        let model = LightModel { mesh, distant: vec![] };
+        let bvh = Bvh::new(&model.mesh.vertices, &model.mesh.triangles());
+        let up = DistantSource { direction: Vec3::Y, solid_angle_sr: 0.01, radiance: [2.0; 3] };
+        let up = Stratum { source: up, extent_sr: 0.01 };
+        let lamp = Light::on_model(&up, &model, &bvh, Vec3::ZERO);
+        assert!((lamp.seen_from(Vec3::ZERO).1 - 1.0).abs() < 1e-3);
+        let (direction, gain) = lamp.seen_from(Vec3::Y * -2.0);
+        assert!((gain - 0.25).abs() < 0.01 && direction.dot(Vec3::Y) > 0.999, "{gain}");
+        assert!(
+            !lamp.hidden_by(&bvh, Vec3::ZERO) && lamp.seen_from(Vec3::Y * 3.0).1 == 0.0,
+            "no light behind it"
+        );
+        let sky = Light::on_model(
+            &Stratum { source: DistantSource { direction: Vec3::X, ..up.source }, ..up },
+            &model,
+            &bvh,
+            Vec3::ZERO,
+        );
+        assert_eq!(sky.origin, ShadowOrigin::Direction(Vec3::X));
+        assert_eq!(sky.seen_from(Vec3::Y * -2.0), (Vec3::X, 1.0));
+    }
+}
