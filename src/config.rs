@@ -271,11 +271,11 @@ settings! {
         leaf_patches: usize = 8,
         /// Shafts end where less than this share of the irradiance of every receiver vertex passes.
         shaft_share: f64 = 0.02,
-        /// Receivers are split where transfers differ from what their vertices say by more than this share of the
-        /// irradiance; 0 leaves them as they are.
-        receiver_tolerance: f64 = 0.1,
+        /// Receivers are split until transfers differ from what their vertices say by no more than this share of the
+        /// irradiance, root mean square over the plate's pixels; 0 leaves them as they are.
+        receiver_tolerance: f64 = 0.015,
         /// Receivers are not split beyond so many vertices.
-        receiver_vertices: usize = 20_000,
+        receiver_vertices: usize = 10_000,
     }
 }
 
@@ -432,7 +432,7 @@ settings! {
         /// How they are found.
         light_sampling: LightSampling = LightSampling::Structured,
         /// Pixels that share a sample of its shadow buffer: 1, 4, 16, 64, 256 or 1024 (sampling detail).
-        pixels_per_sample: usize = 16,
+        pixels_per_sample: usize = 4,
         /// The object of the method `subtractive` is lit light by light instead, to compare.
         additive: bool = false,
         /// Rectangular lights of the method `occlusion-textures`; where none is given, those found in the light model.

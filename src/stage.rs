@@ -58,7 +58,7 @@ pub const STAGES: &[Stage] = &[
     Stage { name: "irradiance", version: 2, reads: &["illuminate"], about: "build the irradiance volume" },
     Stage {
         name: "transfer",
-        version: 2,
+        version: 3,
         reads: &["calibrate", "model", "illuminate"],
         about: "radiance transfers from sources to receivers",
     },

@@ -10,11 +10,11 @@ use insitu::illuminate;
 use insitu::image::CodeImage;
 use insitu::irradiance::Volume;
 use insitu::model::{Scene, face};
-use insitu::render::{self, Object, Set, Shaded};
+use insitu::render::{self, Frame, Frames, Object, Set};
 use insitu::response::Response;
-use insitu::shadow::{self, Caster, Occluder, Receivers, Session};
+use insitu::shadow::{self, Receivers};
 use insitu::stage::{Context, Input, digest_file};
-use insitu::transfer::Transfers;
+use insitu::transfer::{Finish, Transfers};
 use insitu::visibility::Bvh;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -30,44 +30,21 @@ fn main() -> std::process::ExitCode {
         let volume = Volume::read(&ctx.artefact("irradiance", "irradiance.ply")?)?;
         let transfers = Transfers::read(&folder(ctx, "transfer", &Transfers::FILES)?)?;
         let object = load(ctx)?;
+        let gloss: Vec<_> = scene.faces.iter().map(|f| f.gloss).collect();
         let faces = face::triangulate(&scene.faces);
         let scene_bvh = Bvh::new(&faces.vertices, &faces.triangles);
-        let warnings = render::check_placement(&object, camera, &faces.vertices, &scene_bvh)
-            .doing("placing the object in the scene")?;
-        warnings.into_iter().for_each(|w| ctx.warn(w));
-
-        let started = Instant::now();
+        let light_bvh = Bvh::new(&light.mesh.vertices, &light.mesh.triangles());
         let receivers = Receivers::cast(camera, &light.mesh);
-        let occluder = Occluder { vertices: object.vertices.clone(), triangles: object.triangles.clone() };
         let stored = stored(ctx)?;
+
         let shadows = shadow::Scene {
             light: &light,
             transfers: &transfers,
             receivers: &receivers,
             plate: &plate,
+            finish: Finish::new(camera, &gloss),
             stored: stored.as_ref().map(|(codes, response)| shadow::Stored { codes, response }),
         };
-        let mut session = Session::prepare(&shadows, settings).doing("preparing the shadow method")?;
-        ctx.figure("shadow_preparation_s", started.elapsed().as_secs_f64());
-        let caster = Caster::of(&occluder, settings);
-        ctx.figure("caster_triangles", caster.occluder.triangles.len());
-        ctx.figure("caster_error_m", f64::from(caster.error_m));
-        let frame = session.frame(&caster.occluder).doing("finding the shadow")?;
-        let removed = frame.removed;
-        ctx.figure("shadow_s", frame.seconds);
-        ctx.figure("sources_used", removed.sources_used);
-        ctx.figure("passes", removed.passes);
-        ctx.figure("shadow_maps", removed.shadow_maps);
-        ctx.figure("left_out_share", removed.left_out_share);
-        if let Some(error) = removed.expected_error {
-            ctx.figure("expected_shadow_error", error);
-        }
-        if let Some(noise) = removed.noise {
-            ctx.figure("shadow_noise", noise);
-        }
-
-        let started = Instant::now();
-        let light_bvh = Bvh::new(&light.mesh.vertices, &light.mesh.triangles());
         let set = Set {
             camera,
             plate: &plate,
@@ -79,38 +56,29 @@ fn main() -> std::process::ExitCode {
             transfers: &transfers,
             settings,
         };
-        let shaded = set.shade(&object, &removed.epsilon);
-        ctx.figure("shade_s", started.elapsed().as_secs_f64());
-        let rendered = &shaded.rendered;
-        ctx.figure("object_visible_px", rendered.visible_px);
-        ctx.figure("object_hidden_px", rendered.hidden_px);
-        if rendered.visible_px == 0.0 {
-            ctx.warn("no pixel shows the object: the scene hides it");
-        }
+        let started = Instant::now();
+        let mut frames = Frames::prepare(&shadows, set, &object, &faces.vertices)?;
+        ctx.figure("shadow_preparation_s", started.elapsed().as_secs_f64());
+        ctx.figure("caster_triangles", frames.caster().occluder.triangles.len());
+        ctx.figure("caster_error_m", f64::from(frames.caster().error_m));
 
+        let frame = frames.first()?;
+        report(ctx, &frame);
+        write_layers(ctx, "", &frame)?;
         let seen = receivers.pixels.pixels().iter().map(|r| if r.is_some() { 1.0 } else { 0.0 }).collect();
         let (width, height) = plate.size();
         let mask = exr::Planes { width, height, channels: vec![("Y".into(), seen)] };
         exr::write(&ctx.output("receivers.exr"), &mask, exr::Kind::Picture)?;
-        exr::write(
-            &ctx.output("environment.exr"),
-            &exr::Planes::from_radiance(&shaded.environment.map),
-            exr::Kind::LatLong,
-        )?;
-        write_layers(ctx, "", &removed, &shaded)?;
+        let environment = exr::Planes::from_radiance(&frame.shaded.environment.map);
+        exr::write(&ctx.output("environment.exr"), &environment, exr::Kind::LatLong)?;
 
         let (mut shadow_ms, mut shade_ms, mut passes) = (Vec::new(), Vec::new(), Vec::new());
         for (i, motion) in render::motions(settings).doing("placing the object")?.iter().enumerate() {
-            let what = || format!("rendering frame {i} of the path");
-            let object = object.moved(motion);
-            render::check_placement(&object, camera, &faces.vertices, &scene_bvh).doing(what())?;
-            let frame = session.frame(&caster.moved(motion).occluder).doing(what())?;
-            let started = Instant::now();
-            let shaded = set.shade(&object, &frame.removed.epsilon);
-            shade_ms.push(started.elapsed().as_secs_f64() * 1e3);
-            shadow_ms.push(frame.seconds * 1e3);
+            let frame = frames.of_path(i, motion)?;
+            write_layers(ctx, &format!("_{i:04}"), &frame)?;
+            shadow_ms.push(frame.shadow_s * 1e3);
+            shade_ms.push(frame.shade_s * 1e3);
             passes.push(frame.removed.passes);
-            write_layers(ctx, &format!("_{i:04}"), &frame.removed, &shaded)?;
         }
         if !passes.is_empty() {
             ctx.figure("path_shadow_ms", shadow_ms);
@@ -121,8 +89,31 @@ fn main() -> std::process::ExitCode {
     })
 }
 
+/// Figures and warnings of a frame.
+fn report(ctx: &Context, frame: &Frame) {
+    let Frame { removed, shaded, .. } = frame;
+    ctx.figure("shadow_s", frame.shadow_s);
+    ctx.figure("sources_used", removed.sources_used);
+    ctx.figure("passes", removed.passes);
+    ctx.figure("shadow_maps", removed.shadow_maps);
+    ctx.figure("left_out_share", removed.left_out_share);
+    if let Some(error) = removed.expected_error {
+        ctx.figure("expected_shadow_error", error);
+    }
+    if let Some(noise) = removed.noise {
+        ctx.figure("shadow_noise", noise);
+    }
+    ctx.figure("shade_s", frame.shade_s);
+    ctx.figure("object_visible_px", shaded.rendered.visible_px);
+    ctx.figure("object_hidden_px", shaded.rendered.hidden_px);
+    frame.warnings.iter().for_each(|w| ctx.warn(w));
+    if shaded.rendered.visible_px == 0.0 {
+        ctx.warn("no pixel shows the object: the scene hides it");
+    }
+}
+
 /// What `composite` puts into the plate.
-fn write_layers(ctx: &Context, suffix: &str, removed: &shadow::Removed, shaded: &Shaded) -> Result<()> {
+fn write_layers(ctx: &Context, suffix: &str, Frame { removed, shaded, .. }: &Frame) -> Result<()> {
     let file = |name: &str, kind: &str| ctx.output(&format!("{name}{suffix}.{kind}"));
     exr::write_radiance(&file("removed", "exr"), &removed.epsilon)?;
     exr::write_radiance(&file("reflected", "exr"), &shaded.reflected)?;

@@ -1,6 +1,5 @@
 //! Stage `transfer`: what each source sends to each receiver vertex.
 
-use glam::Vec3;
 use insitu::artefact::json;
 use insitu::calibrate::Cameras;
 use insitu::error::Context;
@@ -17,9 +16,7 @@ fn main() -> std::process::ExitCode {
         let light = illuminate::read_light(&folder)?;
         let scene: Scene = json::read(&ctx.artefact("model", "scene.json")?)?;
         let gloss: Vec<_> = scene.faces.iter().map(|f| f.gloss).collect();
-        let eye = cameras.plate_camera().world_from_camera.translation.vector;
-        let eye = Vec3::new(eye.x as f32, eye.y as f32, eye.z as f32);
-        let finish = gloss.iter().any(Option::is_some).then_some(Finish { eye, gloss: &gloss });
+        let finish = Finish::new(cameras.plate_camera(), &gloss);
 
         let receivers = Receivers::cast(cameras.plate_camera(), &light.mesh);
         let seen = receivers.pixels.pixels().iter().flatten().count();

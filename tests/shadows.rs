@@ -6,7 +6,9 @@ use glam::Vec3;
 use insitu::config::{Render, ShadowMethod, Transfer};
 use insitu::illuminate::patch::{DistantSource, LightModel};
 use insitu::image::RadianceImage;
+use insitu::model::face::Gloss;
 use insitu::shadow::{Occluder, Problem, RadianceTransfer, Session, removed_radiance};
+use insitu::transfer::{Finish, solve_glossy};
 use room::{Stage, blob, camera, cuboid, errors, stage};
 
 fn at(x: f32, y: f32, z: f32) -> Vec3 {
@@ -46,6 +48,31 @@ fn radiance_transfer_agrees_with_the_reference() {
             assert!(bias.abs() <= 0.01, "{name}, {passes} passes: bias {bias}");
         }
     }
+}
+
+#[test]
+fn a_polished_floor_loses_its_mirror_images_too() {
+    let stage = stage(0.15, 64, 1.0);
+    let view = camera([0.9, 1.3, 1.7], [0.0, 0.1, 0.0], 64, 48, 0.9 * 64.0);
+    let mut gloss = vec![None; 6];
+    gloss[0] = Some(Gloss { specular: [0.2; 3], shininess: 20.0 });
+    let finish = Finish::new(&view, &gloss);
+    let settings = Transfer { source_share: 1.0, ..Default::default() };
+    let transfers = solve_glossy(&stage.light, &stage.receivers, finish, &settings, || {}).unwrap();
+    let polished = insitu::shadow::Scene { transfers: &transfers, finish, ..stage.scene() };
+    // Between the camera and the image of the window.
+    let object = blob(at(-0.5, 0.2, 0.0), 0.15, 0.15, 16);
+    let slow = Render { method: ShadowMethod::Raytraced, rays: 512, ..Default::default() };
+    let reference = removed_radiance(&polished, &object, &slow).unwrap();
+    let fast = |scene| removed_radiance(scene, &object, &Render::default()).unwrap().epsilon;
+    let (error, bias) = errors(&stage.plate, &fast(&polished), &reference.epsilon);
+    let (dull, _) = errors(&stage.plate, &fast(&stage.scene()), &reference.epsilon);
+    println!(
+        "error {error:.4}, bias {bias:+.4}, noise {:.4}; of a dull floor {dull:.4}",
+        reference.noise.unwrap()
+    );
+    assert!(error < 0.06 && bias.abs() < 0.02, "{error}, bias {bias}");
+    assert!(dull > 2.0 * error, "the mirror image hides nothing: {dull}");
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! What each stage adds to the error against a capture's truth: all stages true, then one at a time by ours.
 
+use super::truth::has_truth;
 use crate::artefact::json;
 use crate::driver::run::{self, Range};
 use crate::driver::truth::{self, TrueStage};
@@ -32,6 +33,10 @@ pub(super) fn print(settings: &[PathBuf], printer: &Printer) -> Result<()> {
     let width = settings.iter().map(|s| validate::name(s).len()).max().unwrap_or(0).max(7);
     printer.data(&format!("{:<width$}{head}{:>8}", "capture", "noise"));
     for file in settings {
+        if !has_truth(file)? {
+            printer.data(&format!("{:<width$}  without a true picture: left out", validate::name(file)));
+            continue;
+        }
         let mut line = format!("{:<width$}", validate::name(file));
         let mut noise = None;
         for (name, ours) in COLUMNS {

@@ -61,7 +61,7 @@ pub(super) fn print(frames: usize, printer: &Printer) -> Result<()> {
 fn methods(subject: &Subject, caster: &Caster, frames: usize, printer: &Printer) -> Result<f64> {
     let mut shot = subject.passes(PASSES, frames)?;
     let [ours, low, high] = spread(&mut shot.ms);
-    let reference = subject.reference(1.0 / 3.0, &[&shot.removed.epsilon])?;
+    let reference = subject.reference(0.5, &[&shot.removed.epsilon])?;
     let (error, bias) = subject.errors(&shot.removed.epsilon, &reference.epsilon);
     printer.data(&format!(
         "{:<28}{:>10}{:>10}{:>10}{:>9}{:>9}{:>8}",

@@ -4,6 +4,7 @@ use super::statics::Static;
 use crate::artefact::json;
 use crate::composite::{composite, picture, write_png};
 use crate::config::{Render, ShadowMethod};
+use crate::driver::validate;
 use crate::error::{Context as _, Result};
 use crate::evaluate::display::flip;
 use crate::exposure::{Capture, decode};
@@ -13,7 +14,7 @@ use crate::render::Layer;
 use crate::response::Response;
 use crate::shadow::{self, Removed, Stored};
 use crate::stage::Workspace;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Numbers of passes.
 const PASSES: [usize; 3] = [10, 50, 200];
@@ -58,7 +59,12 @@ struct Row {
 
 /// Prints a row for each capture and number of passes; writes a picture of each capture into `pictures`: radiance, 8 bits,
 /// and their difference, amplified.
-pub(super) fn print(workspaces: &[Workspace], pictures: Option<&Path>, printer: &Printer) -> Result<()> {
+pub(super) fn print(
+    settings: &[PathBuf],
+    workspaces: &[Workspace],
+    pictures: Option<&Path>,
+    printer: &Printer,
+) -> Result<()> {
     printer.data(&format!(
         "\n8-bit subtraction against radiance: differences of the pictures in 8-bit code values where more than {} % is \
          removed and no object stands, all channels; steps between means of {BLOCK}×{BLOCK} px, and whether most of \
@@ -66,7 +72,7 @@ pub(super) fn print(workspaces: &[Workspace], pictures: Option<&Path>, printer: 
         100.0 * REMOVED
     ));
     printer.data(&format!(
-        "{:<12}{:>7}{:>9}{:>8}{:>8}{:>8}{:>8}{:>9}{:>8}{:>9}{:>9}{:>9}{:>9}",
+        "{:<24}{:>7}{:>9}{:>8}{:>8}{:>8}{:>8}{:>9}{:>8}{:>9}{:>9}{:>9}{:>9}",
         "capture",
         "passes",
         "px",
@@ -81,8 +87,8 @@ pub(super) fn print(workspaces: &[Workspace], pictures: Option<&Path>, printer: 
         "of",
         "flip"
     ));
-    for workspace in workspaces {
-        let subject = Subject::read(workspace)?;
+    for (file, workspace) in settings.iter().zip(workspaces) {
+        let subject = Subject::read(validate::name(file), workspace)?;
         for passes in PASSES {
             let [radiance, ldr] =
                 [ShadowMethod::RadianceTransfer, ShadowMethod::RadianceTransferLdr].map(|method| {
@@ -100,7 +106,7 @@ pub(super) fn print(workspaces: &[Workspace], pictures: Option<&Path>, printer: 
             let row = subject.compare(&exact, &codes, &region);
             printer.data(&line(&subject.name, passes, &region, &row));
             if let (SHOWN, Some(folder)) = (passes, pictures) {
-                let path = folder.join(format!("ldr_{}.png", subject.name));
+                let path = folder.join(format!("ldr_{}.png", subject.name.replace('/', "_")));
                 write_png(&path, &side_by_side(&exact, &codes, &region))?;
                 printer.data(&path.display().to_string());
             }
@@ -112,7 +118,7 @@ pub(super) fn print(workspaces: &[Workspace], pictures: Option<&Path>, printer: 
 fn line(name: &str, passes: usize, region: &Image<bool>, row: &Row) -> String {
     let px = region.pixels().iter().filter(|r| **r).count();
     format!(
-        "{name:<12}{passes:>7}{px:>9}{:>+8.2}{:>8.2}{:>8.1}{:>8.0}{:>9.2}{:>10.2}{:>9.2}{:>9}{:>9}{:>9}{:>9.4}",
+        "{name:<24}{passes:>7}{px:>9}{:>+8.2}{:>8.2}{:>8.1}{:>8.0}{:>9.2}{:>10.2}{:>9.2}{:>9}{:>9}{:>9}{:>9.4}",
         row.bias,
         row.mean,
         row.percentile_95,
@@ -128,11 +134,11 @@ fn line(name: &str, passes: usize, region: &Image<bool>, row: &Row) -> String {
 }
 
 impl Subject {
-    fn read(workspace: &Workspace) -> Result<Self> {
+    fn read(name: String, workspace: &Workspace) -> Result<Self> {
         let capture: Capture = json::read(&workspace.folder("ingest").join("capture.json"))?;
         let path = workspace.base.join(&capture.photos).join(&capture.plate()?.file);
         Ok(Self {
-            name: super::capture_name(workspace)?,
+            name,
             statics: Static::read(workspace)?,
             codes: decode(&path)?.codes(&path)?,
             response: json::read(&workspace.folder("response").join("response.json"))?,

@@ -88,7 +88,7 @@ pub fn bench(
             Table::Gpu => gpu::print(&settings, frames, printer)?,
             Table::Growth => growth::print(pictures, printer)?,
             Table::Intensity => intensity::print(&ready(&settings, printer)?, pictures, printer)?,
-            Table::Ldr => ldr::print(&ready(&settings, printer)?, pictures, printer)?,
+            Table::Ldr => ldr::print(&settings, &ready(&settings, printer)?, pictures, printer)?,
             Table::Breakdown => breakdown::print(&settings, printer)?,
             Table::Truth => truth::print(&settings, pictures, printer)?,
             Table::Subtractive => subtractive::print(&settings, environments, pictures, printer)?,

@@ -143,13 +143,26 @@ fn draw(path: &Path, panels: &[Panel], columns: usize) -> Drawn {
         let legend = panel.emptiest_corner(&x, &y);
         match (panel.x.scale, panel.y.scale) {
             (Scale::Linear, Scale::Linear) => draw_panel(area, panel, legend, x, y)?,
-            (Scale::Log, Scale::Linear) => draw_panel(area, panel, legend, x.log_scale(), y)?,
-            (Scale::Linear, Scale::Log) => draw_panel(area, panel, legend, x, y.log_scale())?,
-            (Scale::Log, Scale::Log) => draw_panel(area, panel, legend, x.log_scale(), y.log_scale())?,
+            (Scale::Log, Scale::Linear) => draw_panel(area, panel, legend, decades(x), y)?,
+            (Scale::Linear, Scale::Log) => draw_panel(area, panel, legend, x, decades(y))?,
+            (Scale::Log, Scale::Log) => draw_panel(area, panel, legend, decades(x), decades(y))?,
         }
     }
     figure.present()?;
     Ok(())
+}
+
+/// A logarithmic axis with marks at 1, 2 and 5 of each decade, or at powers of ten where there are many.
+fn decades(span: Span) -> impl AsRangedCoord<Value = f64, CoordDescType: ValueFormatter<f64>> {
+    let marks = marks(&span);
+    span.log_scale().with_key_points(marks)
+}
+
+fn marks(span: &Span) -> Vec<f64> {
+    let (first, last) = (span.start.log10().floor() as i32, span.end.log10().ceil() as i32);
+    let each: &[f64] = if last - first > 3 { &[1.0] } else { &[1.0, 2.0, 5.0] };
+    let all = (first..=last).flat_map(|decade| each.iter().map(move |m| m * 10f64.powi(decade)));
+    all.filter(|v| (span.start..=span.end).contains(v)).collect()
 }
 
 fn draw_panel<X, Y>(
@@ -232,6 +245,19 @@ mod tests {
             assert!(text.contains(word), "no {word}");
         }
         assert!(text.matches("<polyline").count() >= 2, "a line in each");
+    }
+
+    #[test]
+    fn every_logarithmic_axis_has_marks_and_not_too_many() {
+        for (span, expected) in [
+            (0.012..0.07, vec![0.02, 0.05]),
+            (80.0..6500.0, vec![100.0, 200.0, 500.0, 1000.0, 2000.0, 5000.0]),
+            (0.5..2e4, vec![1.0, 10.0, 100.0, 1000.0, 1e4]),
+        ] {
+            let found = marks(&span);
+            assert_eq!(found.len(), expected.len(), "{found:?}");
+            assert!(found.iter().zip(&expected).all(|(a, b)| (a / b - 1.0).abs() < 1e-9), "{found:?}");
+        }
     }
 
     #[test]

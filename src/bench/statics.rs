@@ -10,7 +10,7 @@ use crate::model::{Scene, face};
 use crate::render::{self, Object};
 use crate::shadow::{self, Occluder, Receivers};
 use crate::stage::Workspace;
-use crate::transfer::Transfers;
+use crate::transfer::{Finish, Transfers};
 use crate::visibility::Bvh;
 
 /// The artefacts that a frame needs, and the object where the settings put it.
@@ -24,6 +24,8 @@ pub(super) struct Static {
     pub scene_bvh: Bvh,
     pub light_bvh: Bvh,
     pub object: Object,
+    /// By face of the scene.
+    gloss: Vec<Option<face::Gloss>>,
 }
 
 impl Static {
@@ -42,6 +44,7 @@ impl Static {
             scene_bvh: Bvh::new(&faces.vertices, &faces.triangles),
             light_bvh: Bvh::new(&light.mesh.vertices, &light.mesh.triangles()),
             object: render::load_object(&workspace.base.join(&settings.object), settings)?,
+            gloss: scene.faces.iter().map(|f| f.gloss).collect(),
             cameras,
             light,
         })
@@ -53,6 +56,7 @@ impl Static {
             transfers: &self.transfers,
             receivers: &self.receivers,
             plate: &self.plate,
+            finish: Finish::new(self.cameras.plate_camera(), &self.gloss),
             stored: None,
         }
     }

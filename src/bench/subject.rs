@@ -13,7 +13,7 @@ use glam::Vec3;
 const SHARE: f64 = 0.98;
 /// Reference rays per pixel, at first and at most.
 const FIRST_RAYS: usize = 64;
-const MOST_RAYS: usize = 1 << 13;
+const MOST_RAYS: usize = 1 << 12;
 
 /// The lobby with its transfers.
 pub(super) struct LobbyTransfers {
@@ -37,7 +37,7 @@ impl LobbyTransfers {
 
     pub fn scene(&self) -> Scene<'_> {
         let Lobby { light, receivers, plate, .. } = &self.lobby;
-        Scene { light, transfers: &self.transfers, receivers, plate, stored: None }
+        Scene { light, transfers: &self.transfers, receivers, plate, finish: None, stored: None }
     }
 }
 

@@ -127,6 +127,12 @@ impl Judged {
     }
 }
 
+/// Whether a settings file names a true picture with the object and the true scene.
+pub(super) fn has_truth(file: &Path) -> Result<bool> {
+    let evaluate = Workspace::open(file)?.pipeline.evaluate;
+    Ok(evaluate.reference.is_some() && evaluate.truth.is_some())
+}
+
 /// ε* = ε − (ε − ε*).
 fn removed_in_truth(plate: &RadianceImage, epsilon: &RadianceImage, error: &RadianceImage) -> RadianceImage {
     let (width, height) = plate.size();
@@ -158,6 +164,13 @@ pub(super) fn print(settings: &[PathBuf], pictures: Option<&Path>, printer: &Pri
         "capture", "radiance-transfer", "raytraced", "noise", "depth", "Cycles", "Mitsuba"
     ));
     for file in settings {
+        if !has_truth(file)? {
+            printer.data(&format!(
+                "{name:<width$}  without a true picture: left out",
+                name = validate::name(file)
+            ));
+            continue;
+        }
         let judged = Judged::read(file)?;
         let workspace = &judged.workspace;
         let ours = exr::read_radiance(&workspace.folder("render").join("removed.exr"))?;

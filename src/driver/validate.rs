@@ -82,12 +82,14 @@ fn list(folders: &[PathBuf]) -> String {
     folders.iter().map(|f| f.display().to_string()).collect::<Vec<_>>().join(", ")
 }
 
-/// `folder/pipeline.toml` is named by its folder, others by folder and file.
+/// `folder/pipeline.toml` is named by its folder, others by folder and file; without a folder by the file.
 pub(crate) fn name(settings: &Path) -> String {
-    let folder = settings.parent().and_then(Path::file_name).unwrap_or_default().to_string_lossy();
-    match settings.file_stem().unwrap_or_default().to_string_lossy() {
-        stem if stem == "pipeline" => folder.into_owned(),
-        stem => format!("{folder}/{stem}"),
+    let folder = settings.parent().and_then(Path::file_name).map(|f| f.to_string_lossy());
+    let stem = settings.file_stem().unwrap_or_default().to_string_lossy();
+    match folder {
+        Some(folder) if stem == "pipeline" => folder.into_owned(),
+        Some(folder) => format!("{folder}/{stem}"),
+        None => stem.into_owned(),
     }
 }
 

@@ -34,7 +34,7 @@ impl Default for Budget {
 pub struct Timing {
     /// Until the device is done.
     pub frame: f64,
-    /// Choosing clusters and gathering what they send, on the host.
+    /// Choosing clusters and maps on the host, before anything is sent.
     pub plan: f64,
     /// The rest.
     pub phases: Phases,

@@ -11,7 +11,7 @@ fn a_lost_device_is_an_error_and_stays_one() {
     let settings = Transfer { source_share: 0.5, ..Transfer::default() };
     let transfers = solve(&lobby.light, &lobby.receivers, &settings, || {}).unwrap();
     let Lobby { light, receivers, plate, .. } = &lobby;
-    let scene = Scene { light, transfers: &transfers, receivers, plate, stored: None };
+    let scene = Scene { light, transfers: &transfers, receivers, plate, finish: None, stored: None };
     let mut method = match RadianceTransfer::prepare(&scene, &Render::default()) {
         Ok(method) => method,
         Err(e @ shadow::Problem::Gpu(Problem::NoAdapter(_))) => {

@@ -91,13 +91,13 @@ pub fn cut(layer: &Layer, count: usize, blur: impl Fn(Vec3) -> f64) -> Distant {
         distant.sources.push(source);
         distant.sun_radius = Some(radius);
     }
-    distant.sources.extend(median_cut(texels, [w, h], count));
+    distant.sources.extend(median_cut(texels, [w, h], count).iter().map(|s| s.source));
     distant
 }
 
 /// Cuts the texels of a map of some size (px) into at most `count` cells of about equal power (Debevec 2005), each a
 /// source of the cell's whole power.
-pub(crate) fn median_cut(texels: Vec<Texel>, [w, h]: [usize; 2], count: usize) -> Vec<DistantSource> {
+pub(crate) fn median_cut(texels: Vec<Texel>, [w, h]: [usize; 2], count: usize) -> Vec<Stratum> {
     let mut cells = vec![texels];
     while cells.len() < count.max(1) {
         // The strongest cell that can still be cut.
@@ -111,27 +111,42 @@ pub(crate) fn median_cut(texels: Vec<Texel>, [w, h]: [usize; 2], count: usize) -
         cells.push(a);
         cells.push(b);
     }
-    cells.iter().filter_map(|c| source(c)).collect()
+    cells.iter().filter_map(|c| stratum(c)).collect()
+}
+
+/// Texels that one source stands for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Stratum {
+    /// The source, with the solid angle of all of them.
+    pub source: DistantSource,
+    /// Solid angle of the cap over which the light itself is spread, sr: less where a lamp shines among dark texels.
+    pub extent_sr: f32,
 }
 
 /// One source of a cell's whole power, in the direction of its power's centroid.
-pub(crate) fn source(cell: &[Texel]) -> Option<DistantSource> {
+pub(crate) fn stratum(cell: &[Texel]) -> Option<Stratum> {
     let (mut power, mut moment, mut solid_angle) = ([0.0f64; 3], nalgebra::Vector3::zeros(), 0.0);
+    let mut texel = 0.0;
     for t in cell {
         (0..3).for_each(|k| power[k] += t.power[k]);
         let d = t.direction;
         moment += nalgebra::Vector3::new(f64::from(d.x), f64::from(d.y), f64::from(d.z)) * weight(&t.power);
         solid_angle += t.solid_angle;
+        texel += t.solid_angle * weight(&t.power);
     }
-    if weight(&power) <= 0.0 || moment.norm() <= 0.0 {
+    let whole: f64 = cell.iter().map(|t| weight(&t.power)).sum();
+    if whole <= 0.0 || moment.norm() <= 0.0 {
         return None;
     }
     let d = moment.normalize();
-    Some(DistantSource {
+    let source = DistantSource {
         direction: Vec3::new(d.x as f32, d.y as f32, d.z as f32),
         solid_angle_sr: solid_angle as f32,
         radiance: power.map(|p| (p / solid_angle) as f32),
-    })
+    };
+    // The mean direction of a cap of half angle α has length (1 + cos α)/2.
+    let cap = 4.0 * std::f64::consts::PI * (1.0 - moment.norm() / whole).max(0.0);
+    Some(Stratum { source, extent_sr: (cap + texel / whole).min(solid_angle) as f32 })
 }
 
 /// Cuts across the longer side of the cell so that both parts have nearly half the power; neither is empty.
@@ -185,7 +200,7 @@ fn split_sun(texels: &mut [Texel], blur: impl Fn(Vec3) -> f64) -> Option<(Distan
         (0..3).for_each(|k| t.power[k] -= excess[k]);
         taken.push(Texel { power: excess, ..*t });
     }
-    let mut sun = source(&taken)?;
+    let mut sun = stratum(&taken)?.source;
     let power: f64 = taken.iter().map(|t| weight(&t.power)).sum();
     if power < SUN_MIN_SHARE * whole {
         for t in &taken {

@@ -6,6 +6,7 @@ pub mod build;
 pub mod distant;
 pub mod gather;
 pub mod mesh;
+mod outline;
 pub mod patch;
 pub mod project;
 #[cfg(test)]

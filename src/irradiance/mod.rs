@@ -4,6 +4,7 @@
 mod beam;
 
 pub use beam::Beams;
+pub(crate) use beam::split as split_beams;
 
 use crate::artefact::ply;
 use crate::config;

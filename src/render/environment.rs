@@ -1,6 +1,6 @@
 //! The environment as seen from the object's place.
 
-use crate::illuminate::patch::LightModel;
+use crate::illuminate::patch::{DistantSource, LightModel, PatchMesh};
 use crate::image::{Image, Radiance, RadianceImage, luminance};
 use crate::probe::latlong;
 use crate::visibility::Bvh;
@@ -20,6 +20,18 @@ const SUPERSAMPLING: usize = 3;
 impl Environment {
     /// Casts rays from `position` onto the patch mesh; what misses it sees the distant sources.
     pub fn cast(light: &LightModel, bvh: &Bvh, position: Vec3, width: usize, height: usize) -> Self {
+        Self::cast_with(&light.mesh, &light.distant, bvh, position, width, height)
+    }
+
+    /// The same with other distant sources than the model's.
+    pub fn cast_with(
+        mesh: &PatchMesh,
+        distant: &[DistantSource],
+        bvh: &Bvh,
+        position: Vec3,
+        width: usize,
+        height: usize,
+    ) -> Self {
         let texels: Vec<(Radiance, f32)> = (0..width * height)
             .into_par_iter()
             .map(|i| {
@@ -34,8 +46,8 @@ impl Environment {
                     );
                     match bvh.closest(position, direction, 0.0, f32::INFINITY) {
                         // Patches send light from their fronts; from behind they are black.
-                        Some(hit) if light.mesh.normal(hit.triangle as usize).dot(direction) < 0.0 => {
-                            let radiance = light.mesh.patches[hit.triangle as usize].radiance;
+                        Some(hit) if mesh.normal(hit.triangle as usize).dot(direction) < 0.0 => {
+                            let radiance = mesh.patches[hit.triangle as usize].radiance;
                             (0..3).for_each(|k| sum[k] += radiance[k]);
                         }
                         Some(_) => {}
@@ -48,7 +60,7 @@ impl Environment {
             .collect();
         let (radiance, open): (Vec<_>, Vec<_>) = texels.into_iter().unzip();
         let mut map = Image::from_pixels(width, height, radiance);
-        for source in &light.distant {
+        for source in distant {
             splat(
                 &mut map,
                 &open,

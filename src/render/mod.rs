@@ -2,6 +2,7 @@
 
 mod cells;
 mod environment;
+mod frames;
 mod gltf_file;
 mod layer;
 mod load;
@@ -16,6 +17,7 @@ mod shade;
 
 pub use cells::Cells;
 pub use environment::Environment;
+pub use frames::{Frame, Frames};
 pub use layer::{Layer, Rendered, render};
 pub(crate) use layer::{render_with, visible};
 pub use load::load_object;

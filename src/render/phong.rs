@@ -19,11 +19,8 @@ const ANGLES: usize = 64;
 impl Lobe {
     /// Means of the environment under cosⁿα about each axis, and the lobe's albedo.
     pub fn new(environment: &Environment, exponent: f32) -> Self {
-        let (w, h) = environment.map.size();
-        // A broad lobe needs few axes: its half width is √(2/n).
-        let size = if exponent < 200.0 { (w.min(64), h.min(32)) } else { (w, h) };
         let cut = 1e-6f32.powf(1.0 / exponent.max(1e-3));
-        let means = Prefiltered::new(environment, size, cut, |cos| cos.powf(exponent));
+        let means = Prefiltered::new(environment, exponent, cut, |cos| cos.powf(exponent));
         let albedo = (0..ANGLES)
             .into_par_iter()
             .map(|i| directional_albedo(exponent, PI / 2.0 * i as f32 / (ANGLES - 1) as f32))

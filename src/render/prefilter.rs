@@ -13,15 +13,13 @@ pub struct Prefiltered {
 }
 
 impl Prefiltered {
-    /// By direct summation over all texels, for `(width, height)` axes. `kernel` is a function of the cosine of the angle
-    /// from the axis, of any scale, and 0 where that is at most `cut`.
-    pub fn new(
-        environment: &Environment,
-        (width, height): (usize, usize),
-        cut: f32,
-        kernel: impl Fn(f32) -> f32 + Sync,
-    ) -> Self {
+    /// By direct summation over all texels. `kernel` is a function of the cosine of the angle α from the axis, of any scale,
+    /// falls from there as 1 − n α²/2, and is 0 where the cosine is at most `cut`.
+    pub fn new(environment: &Environment, n: f32, cut: f32, kernel: impl Fn(f32) -> f32 + Sync) -> Self {
         let (w, h) = environment.map.size();
+        // A broad kernel needs few axes: lines between axes h apart cut h² n/8 off a peak, at most 2 % here.
+        let width = ((16.0 * n.sqrt()) as usize).next_power_of_two().max(32);
+        let (width, height) = (w.min(width), h.min(width / 2));
         let texels: Vec<(Vec3, f32)> = (0..w * h).map(|i| environment.texel(i)).collect();
         let mean = |i: usize| {
             let axis = latlong::direction((i % width) as f32 + 0.5, (i / width) as f32 + 0.5, width, height);

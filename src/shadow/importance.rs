@@ -19,6 +19,8 @@ const PROBES: usize = 256;
 const VECTORS: usize = 4;
 /// A source whose shadow met no probe counts as if this share of the probed light had met it.
 const UNMET: f64 = 1e-4;
+/// Where the object touches, penumbrae are as narrow as at this distance, radii.
+const CONTACT: f64 = 0.25;
 /// Distant sources lie this far away, m.
 const FAR: f32 = 1e5;
 
@@ -31,8 +33,8 @@ struct Probe {
     light: f32,
 }
 
-/// Every source as the object sees it, with the light that it can take from it; and the mean distance from the object to
-/// where it takes it, in radii of the object: so much wider penumbrae are than as seen from it.
+/// Every source as the object sees it, with the light that it can take from it; and the mean distance from its near side
+/// to where it takes it, in radii of the object: a penumbra is as wide as that times the source's angle.
 pub(crate) fn seen(
     scene: &Scene,
     prepared: &Prepared,
@@ -41,9 +43,9 @@ pub(crate) fn seen(
 ) -> (Vec<Seen>, f64) {
     let mut seen = vec![Seen::default(); scene.transfers.sources.len()];
     let probes = probes(scene, prepared, affected, bounds);
-    let distance: f64 =
-        probes.iter().map(|p| f64::from(p.position.distance(bounds.centre) / bounds.radius)).sum();
-    let distance = (distance / probes.len().max(1) as f64).max(1.0);
+    let distance =
+        |p: &Probe| f64::from(p.position.distance(bounds.centre) / bounds.radius - 1.0).max(CONTACT);
+    let distance = probes.iter().map(distance).sum::<f64>() / probes.len().max(1) as f64;
     let losses = Losses::new(scene, affected, bounds, &probes);
     for (&j, (lost, mean)) in affected.sources.iter().zip(losses.by_source()) {
         seen[j as usize] = Seen { weight: mean, lost, marked: true, ..as_seen(scene, j, bounds) };

@@ -2,6 +2,7 @@
 
 use super::projection::Projection;
 use super::raster::{DEPTH_BIAS, EMPTY, STEEPEST, ShadowMap};
+use super::tiles::{Pixel, Vector};
 use glam::Vec3;
 use wide::{CmpGt, CmpLt, f32x8, i32x8};
 
@@ -84,6 +85,29 @@ impl Pyramid {
         }
     }
 
+    /// Adds a weight to the vectors' lanes where the occluder hides them.
+    pub fn add(
+        &self,
+        weight: f32x8,
+        vectors: &[Vector],
+        pixels: &[Pixel],
+        offset: usize,
+        sums: &mut [f32x8],
+    ) {
+        let mut plane: Option<(u32, OnPlane)> = None;
+        for (vector, sum) in vectors.iter().zip(sums) {
+            let pixel = &pixels[vector.pixels.start];
+            let on = match &plane {
+                Some((patch, on)) if *patch == pixel.patch => on,
+                _ => {
+                    let new = OnPlane::new(&self.map, pixel.position, pixel.normal);
+                    &plane.insert((pixel.patch, new)).1
+                }
+            };
+            *sum += weight & on.blocked(&vector.positions[offset]);
+        }
+    }
+
     /// A range that holds those of all texels in a rectangle, corners included.
     fn range(&self, [x0, y0, x1, y1]: [usize; 4]) -> [f32; 2] {
         let mut level = 0;
@@ -113,7 +137,7 @@ fn greater(a: f32, b: f32) -> f32 {
 }
 
 /// A map as receivers of one plane look it up.
-pub(crate) struct OnPlane<'a> {
+struct OnPlane<'a> {
     map: &'a ShadowMap,
     rows: [[f32; 4]; 4],
     slope: [f32; 2],

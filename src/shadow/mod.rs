@@ -23,7 +23,7 @@ use crate::config::Render;
 use crate::illuminate::patch::LightModel;
 use crate::image::{CodeImage, RadianceImage};
 use crate::response::Response;
-use crate::transfer::{SourceKind, Transfers};
+use crate::transfer::{Finish, SourceKind, Transfers};
 use crate::{error, gpu, occlusion};
 use glam::Vec3;
 
@@ -60,6 +60,8 @@ pub struct Scene<'a> {
     pub receivers: &'a Receivers,
     /// The plate.
     pub plate: &'a RadianceImage,
+    /// What the receivers mirror to the plate's camera, as the transfers have it.
+    pub finish: Option<Finish<'a>>,
     /// The plate as stored, for the method that subtracts from it.
     pub stored: Option<Stored<'a>>,
 }

@@ -33,7 +33,7 @@ pub(crate) struct Outlook<'a> {
     affected: Affected,
     seen: Vec<Seen>,
     moments: Moments,
-    /// Mean distance from the object to its shadow, radii of the object.
+    /// Mean distance from the object's near side to its shadow, radii of the object.
     distance: f64,
 }
 
@@ -41,8 +41,7 @@ pub(crate) struct Outlook<'a> {
 const REST: f64 = 0.02;
 
 impl<'a> Outlook<'a> {
-    pub fn new(scene: &Scene<'a>, prepared: &Prepared, bounds: Bounds) -> Self {
-        let affected = scene.transfers.affected(bounds.min, bounds.max);
+    pub fn new(scene: &Scene<'a>, prepared: &Prepared, affected: Affected, bounds: Bounds) -> Self {
         let (seen, distance) = seen(scene, prepared, &affected, &bounds);
         let moments = Moments::new(&seen);
         Self { scene: *scene, bounds, affected, seen, moments, distance }

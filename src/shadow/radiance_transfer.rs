@@ -1,7 +1,7 @@
 //! Shadow maps from representative sources, subtracted in f32 (Gibson et al. 2003, §7–8), in plain Rust.
 
 use super::ldr::Ldr;
-use super::lookup::{Cover, OnPlane, Pyramid};
+use super::lookup::{Cover, Pyramid};
 use super::plan::{Outlook, Plan};
 use super::projection::{MapPlan, OFFSETS, ShadowOrigin};
 use super::raster::{ShadowMap, rasterise};
@@ -9,11 +9,13 @@ use super::tiles::{Pixel, Prepared, Tile, Vector};
 use super::{Bounds, Occluder, Problem, Removed, Scene};
 use crate::config::Render;
 use crate::image::RadianceImage;
+use crate::transfer::Traversal;
 use crate::visibility::Bvh;
 use glam::Vec3;
 use ndarray::Array3;
 use rayon::prelude::*;
 use std::ops::Range;
+use std::sync::{Mutex, PoisonError};
 use wide::f32x8;
 
 /// Texels of shadow maps that are held at a time.
@@ -28,6 +30,8 @@ const RAY_PROBES: usize = 8;
 pub struct RadianceTransfer<'a> {
     scene: Scene<'a>,
     prepared: Prepared,
+    /// Tags of the hierarchy's nodes, frame by frame.
+    traversal: Mutex<Traversal>,
     /// Where codes are subtracted instead of radiance.
     ldr: Option<Ldr<'a>>,
     passes: usize,
@@ -74,6 +78,7 @@ impl<'a> RadianceTransfer<'a> {
         Ok(Self {
             ldr: Ldr::prepare(scene, &prepared, settings)?,
             prepared,
+            traversal: Mutex::default(),
             scene: *scene,
             passes: settings.passes,
             origins: settings.origins.max(1),
@@ -98,7 +103,10 @@ impl<'a> RadianceTransfer<'a> {
 
     /// What an object has to do with the light.
     pub(crate) fn outlook(&self, occluder: &Occluder) -> Outlook<'a> {
-        Outlook::new(&self.scene, &self.prepared, Bounds::of(occluder))
+        let bounds = Bounds::of(occluder);
+        let mut traversal = self.traversal.lock().unwrap_or_else(PoisonError::into_inner);
+        let affected = traversal.affected(self.scene.transfers, bounds.min, bounds.max);
+        Outlook::new(&self.scene, &self.prepared, affected, bounds)
     }
 
     pub(crate) fn plan(&self, outlook: &Outlook, passes: usize) -> Plan {
@@ -277,20 +285,30 @@ impl<'a> RadianceTransfer<'a> {
         parts.into_par_iter().for_each(|(tile, maps, blocked)| {
             let vectors = &self.prepared.vectors[tile.vectors.clone()];
             let mut sums = vec![[f32x8::ZERO; 3]; vectors.len()];
-            self.masks(batch, tile, maps, |corners, masks| {
-                let numbered = tile.vectors.clone().zip(vectors).zip(masks).zip(&mut sums);
-                for (((number, vector), mask), sum) in numbered {
-                    let corners = vector.corners.map(|v| corners[v as usize]);
-                    for (c, sum) in sum.iter_mut().enumerate() {
-                        let [a, b, d] = [0, 1, 2].map(|k| vector.weights[k] * f32x8::splat(corners[k][c]));
-                        let gone = *mask * (a + b + d);
-                        *sum += match &self.ldr {
-                            None => gone,
-                            Some(ldr) => ldr.pass(number, c, gone),
-                        };
+            // What is gone all over the tile adds up at its vertices.
+            let mut everywhere = vec![[0.0f32; 3]; tile.vertices.len()];
+            self.masks(batch, tile, maps, |corners, whole, masks| {
+                if let Some(ldr) = &self.ldr {
+                    let numbered = tile.vectors.clone().zip(vectors).zip(&*masks).zip(&mut sums);
+                    for (((number, vector), mask), sum) in numbered {
+                        let gone = vector.interpolate(corners, *mask + f32x8::splat(whole));
+                        (0..3).for_each(|c| sum[c] += ldr.pass(number, c, gone[c]));
                     }
+                    return;
+                }
+                if whole > 0.0 {
+                    let all = everywhere.iter_mut().zip(corners);
+                    all.for_each(|(sum, corner)| (0..3).for_each(|c| sum[c] += whole * corner[c]));
+                }
+                for ((vector, mask), sum) in vectors.iter().zip(masks).zip(&mut sums) {
+                    let gone = vector.interpolate(corners, *mask);
+                    (0..3).for_each(|c| sum[c] += gone[c]);
                 }
             });
+            for (vector, sum) in vectors.iter().zip(&mut sums) {
+                let gone = vector.interpolate(&everywhere, f32x8::ONE);
+                (0..3).for_each(|c| sum[c] += gone[c]);
+            }
             for (vector, sum) in vectors.iter().zip(sums) {
                 let lanes = sum.map(f32x8::to_array);
                 for (i, pixel) in vector.pixels.clone().enumerate() {
@@ -301,66 +319,60 @@ impl<'a> RadianceTransfer<'a> {
         });
     }
 
-    /// For each cluster that loses light in a tile, in order: its irradiance at the tile's vertices, and the share of it
-    /// that each of the tile's vectors loses.
-    fn masks(&self, batch: &Batch, tile: &Tile, maps: &[u32], mut each: impl FnMut(&[[f32; 3]], &[f32x8])) {
+    /// For each cluster that loses light in a tile, in order: its irradiance at the tile's vertices, the share of it that is
+    /// lost all over the tile, and what each of the tile's vectors loses besides (nothing, if there are none).
+    fn masks(
+        &self,
+        batch: &Batch,
+        tile: &Tile,
+        maps: &[u32],
+        mut each: impl FnMut(&[[f32; 3]], f32, &[f32x8]),
+    ) {
         let vectors = &self.prepared.vectors[tile.vectors.clone()];
         let pixels = &self.prepared.pixels;
         let mut masks = vec![f32x8::ZERO; vectors.len()];
         let mut corners = vec![[0.0f32; 3]; tile.vertices.len()];
         let plan = |m: u32| &batch.maps[(m - batch.first) as usize];
+        let mut in_part = Vec::new();
         for maps in maps.chunk_by(|&a, &b| plan(a).cluster == plan(b).cluster) {
-            let cluster = plan(maps[0]).cluster;
+            let mut whole = 0.0;
+            in_part.clear();
+            for &m in maps {
+                let plan = plan(m);
+                let mask = &batch.masks[(m - batch.first) as usize];
+                let cover = match mask {
+                    Mask::Map(map) => map.cover(tile.centre, tile.radius),
+                    Mask::Rays(origin) => batch.rays.cover(origin, vectors, pixels, plan.offset),
+                };
+                match cover {
+                    Cover::Nothing => {}
+                    Cover::Everything => whole += plan.weight,
+                    Cover::Part => in_part.push((plan, mask)),
+                }
+            }
+            if whole == 0.0 && in_part.is_empty() {
+                continue;
+            }
             for (corner, &v) in corners.iter_mut().zip(&tile.vertices) {
-                *corner = batch.columns.at(v, cluster);
+                *corner = batch.columns.at(v, plan(maps[0]).cluster);
             }
             if corners.iter().all(|c| *c == [0.0; 3]) {
                 continue;
             }
-            let (mut whole, mut in_part) = (0.0, false);
-            for &m in maps {
-                let plan = plan(m);
-                let weight = f32x8::splat(plan.weight);
-                match &batch.masks[(m - batch.first) as usize] {
-                    Mask::Map(map) => match map.cover(tile.centre, tile.radius) {
-                        Cover::Nothing => {}
-                        Cover::Everything => whole += plan.weight,
-                        Cover::Part => {
-                            in_part = true;
-                            let mut on: Option<(u32, OnPlane)> = None;
-                            for (vector, mask) in vectors.iter().zip(&mut masks) {
-                                let pixel = &pixels[vector.pixels.start];
-                                let on = match &on {
-                                    Some((patch, on)) if *patch == pixel.patch => on,
-                                    _ => {
-                                        let new = OnPlane::new(&map.map, pixel.position, pixel.normal);
-                                        &on.insert((pixel.patch, new)).1
-                                    }
-                                };
-                                *mask += weight & on.blocked(&vector.positions[plan.offset]);
-                            }
+            masks.fill(f32x8::ZERO);
+            for (plan, mask) in &in_part {
+                let (weight, offset) = (f32x8::splat(plan.weight), plan.offset);
+                match mask {
+                    Mask::Map(map) => map.add(weight, vectors, pixels, offset, &mut masks),
+                    Mask::Rays(origin) => {
+                        for (vector, mask) in vectors.iter().zip(&mut masks) {
+                            let normal = pixels[vector.pixels.start].normal;
+                            *mask += weight * batch.rays.blocked_lanes(origin, vector, offset, normal);
                         }
-                    },
-                    Mask::Rays(origin) => match batch.rays.cover(origin, vectors, pixels, plan.offset) {
-                        Cover::Nothing => {}
-                        Cover::Everything => whole += plan.weight,
-                        Cover::Part => {
-                            in_part = true;
-                            for (vector, mask) in vectors.iter().zip(&mut masks) {
-                                let normal = pixels[vector.pixels.start].normal;
-                                *mask +=
-                                    weight * batch.rays.blocked_lanes(origin, vector, plan.offset, normal);
-                            }
-                        }
-                    },
+                    }
                 }
             }
-            if whole > 0.0 || in_part {
-                let whole = f32x8::splat(whole);
-                masks.iter_mut().for_each(|m| *m += whole);
-                each(&corners, &masks);
-                masks.fill(f32x8::ZERO);
-            }
+            each(&corners, whole, if in_part.is_empty() && self.ldr.is_none() { &[] } else { &masks });
         }
     }
 }

@@ -9,9 +9,10 @@
 use super::tiles::{Pixel, Prepared, Tile};
 use super::{Bounds, Occluder, Problem, Removed, Scene};
 use crate::config::Render;
+use crate::illuminate::patch::Patch;
 use crate::image::{Radiance, RadianceImage, luminance};
 use crate::transfer::sampling::{Shift, in_cap, on_triangle};
-use crate::transfer::{SourceKind, Transfers};
+use crate::transfer::{Finish, Lobe, SourceKind, Transfers};
 use crate::visibility::Bvh;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
@@ -23,6 +24,8 @@ const BEYOND_M: f32 = 1e5;
 struct Tracer<'a> {
     lights: Vec<Light>,
     transfers: &'a Transfers,
+    patches: &'a [Patch],
+    finish: Option<Finish<'a>>,
     scene: Bvh,
     object: Bvh,
     bounds: Bounds,
@@ -56,6 +59,16 @@ struct Sample {
     target: Vec3,
     distant: bool,
     blocked: bool,
+}
+
+impl Sample {
+    /// Adds what the receiver mirrors of it.
+    fn mirror(&mut self, lobe: &Lobe) {
+        let direction =
+            if self.distant { self.target } else { (self.target - self.from).normalize_or_zero() };
+        let weight = lobe.weight(direction);
+        (0..3).for_each(|c| self.irradiance[c] *= weight[c]);
+    }
 }
 
 /// ε by rays; the same for any number of threads, seeded by the settings.
@@ -129,6 +142,8 @@ impl<'a> Tracer<'a> {
         Self {
             lights,
             transfers: scene.transfers,
+            patches: &mesh.patches,
+            finish: scene.finish,
             scene: Bvh::new(&mesh.vertices, &mesh.triangles()),
             object: Bvh::new(&occluder.vertices, &occluder.triangles),
             bounds: Bounds::of(occluder),
@@ -159,11 +174,17 @@ impl<'a> Tracer<'a> {
         plate: Radiance,
         (weights, samples): &mut (Vec<f32>, Vec<Sample>),
     ) -> [Radiance; 2] {
+        let lobe = self
+            .finish
+            .and_then(|f| f.lobe(&self.patches[pixel.patch as usize], pixel.position, pixel.normal));
         let (total, rest) = self.pixel_weights(pixel, lit, weights);
         if total <= 0.0 {
             return [Radiance::default(); 2];
         }
         self.draw(pixel, lit, weights, total, samples);
+        if let Some(lobe) = &lobe {
+            samples.iter_mut().for_each(|s| s.mirror(lobe));
+        }
         if !samples.iter().any(|s| s.blocked) {
             return [Radiance::default(); 2];
         }

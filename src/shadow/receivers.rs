@@ -70,18 +70,6 @@ impl Receivers {
         let seen = (0..mesh.patches.len() as u32).filter(|&p| seen[p as usize]).collect();
         Self { pixels, seen }
     }
-
-    /// Size of the smallest pixel on each of some patches (ascending), m; infinite where only corners of pixels see it.
-    pub fn pixel_sizes(&self, patches: &[u32]) -> Vec<f32> {
-        let mut sizes = vec![f32::INFINITY; patches.len()];
-        for receiver in self.pixels.pixels().iter().flatten() {
-            if let Ok(i) = patches.binary_search(&receiver.patch) {
-                let [a, b] = receiver.footprint.map(Vec3::length);
-                sizes[i] = sizes[i].min(a.min(b));
-            }
-        }
-        sizes
-    }
 }
 
 /// A footprint is at most this many times as long as a pixel seen head-on: at the horizon it would have no end.

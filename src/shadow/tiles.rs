@@ -99,6 +99,17 @@ impl Pixel {
     }
 }
 
+impl Vector {
+    /// A share of what is known at the tile's vertices.
+    pub fn interpolate(&self, corners: &[[f32; 3]], share: f32x8) -> [f32x8; 3] {
+        let at = self.corners.map(|v| corners[v as usize]);
+        std::array::from_fn(|c| {
+            let [a, b, d] = [0, 1, 2].map(|k| self.weights[k] * f32x8::splat(at[k][c]));
+            share * (a + b + d)
+        })
+    }
+}
+
 impl Prepared {
     pub fn new(scene: &Scene, settings: &Render) -> Result<Self, Problem> {
         scene.check()?;

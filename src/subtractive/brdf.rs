@@ -62,6 +62,27 @@ impl Brdf {
     }
 }
 
+impl Brdf {
+    /// The lobe of a light that comes from a solid angle (sr) instead of a point: as wide as both. Of all facets within α of
+    /// the normal the mirror directions fill about 4π α².
+    pub fn widened(self, solid_angle_sr: f32) -> Self {
+        let rougher = |roughness: f32| (roughness * roughness + solid_angle_sr / (4.0 * PI)).sqrt().min(1.0);
+        match self {
+            Self::Lambert => self,
+            Self::Phong { exponent } => {
+                let width = 1.0 / (exponent + 1.0) + solid_angle_sr / (2.0 * PI);
+                Self::Phong { exponent: (1.0 / width - 1.0).max(0.0) }
+            }
+            Self::TorranceSparrow { roughness, normal_reflectance } => {
+                Self::TorranceSparrow { roughness: rougher(roughness), normal_reflectance }
+            }
+            Self::Ggx { roughness, normal_reflectance } => {
+                Self::Ggx { roughness: rougher(roughness), normal_reflectance }
+            }
+        }
+    }
+}
+
 /// Cosines at the facets that mirror one direction into the other.
 struct Facets {
     /// From the normal to theirs.
@@ -145,7 +166,7 @@ mod tests {
     proptest! {
         #[test]
         fn light_and_viewer_may_change_places(
-            a in 0.01..1.0f32, b in 0.01..1.0f32, turn in 0.0..6.28f32, roughness in 0.05..1.0f32, f0 in 0.0..1.0f32,
+            a in 0.01..1.0f32, b in 0.01..1.0f32, turn in 0.0..2.0 * PI, roughness in 0.05..1.0f32, f0 in 0.0..1.0f32,
         ) {
             let (light, viewer) = (upper(a, 0.3), upper(b, turn));
             for brdf in all(roughness, f0) {
@@ -167,6 +188,18 @@ mod tests {
         }
         assert!((albedo(Brdf::Lambert, Vec3::Z) - 1.0).abs() < 1e-4);
         assert!((albedo(Brdf::Phong { exponent: 40.0 }, Vec3::Z) - 1.0).abs() < 0.01);
+    }
+
+    #[test]
+    fn a_wide_light_shines_no_brighter_than_its_radiance() {
+        // Radiance 1 from a solid angle around the mirror direction: a mirror would show 1.
+        for solid_angle in [0.01, 0.1, 0.5] {
+            for brdf in all(0.05, 1.0).into_iter().skip(1) {
+                let peak = brdf.widened(solid_angle).value(Vec3::Z, Vec3::Z, Vec3::Z) * solid_angle;
+                assert!(peak < 1.1, "{brdf:?} by {solid_angle} sr: {peak}");
+            }
+        }
+        assert_eq!(Brdf::Phong { exponent: 40.0 }.widened(0.0), Brdf::Phong { exponent: 40.0 });
     }
 
     #[test]

@@ -13,7 +13,8 @@ pub struct Sent {
 }
 
 /// Sums the lights named, each by the share that `share` gives for its index and direction. Lights below the surface's
-/// horizon are not asked for. A matt surface (`None`, Lambert) has no gloss.
+/// horizon are not asked for. The gloss of a light is spread over the solid angle that it stands for, other than in the
+/// paper: points would take more from a shiny surface than it shows, and leave black spots. A matt surface (`None`, Lambert) has no gloss.
 pub fn gather(
     surface: &Surface,
     brdf: Option<Brdf>,
@@ -33,9 +34,10 @@ pub fn gather(
         if share == [0.0; 3] {
             continue;
         }
-        let gloss = brdf.map_or(0.0, |b| b.value(surface.normal, direction, surface.viewer));
-        for k in 0..3 {
-            let irradiance = weight * share[k] * lights[i].power[k];
+        let gloss = brdf
+            .map_or(0.0, |b| b.widened(lights[i].extent_sr).value(surface.normal, direction, surface.viewer));
+        for (k, share) in share.into_iter().enumerate() {
+            let irradiance = weight * share * lights[i].power[k];
             sent.irradiance[k] += irradiance;
             sent.gloss[k] += gloss * irradiance;
         }

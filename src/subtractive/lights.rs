@@ -1,17 +1,20 @@
 //! The environment as a few lights (decoro2008, §2, step 1), and where they lie.
 
 use super::structured::structured;
-use crate::config::LightSampling;
-use crate::illuminate::distant::{median_cut, texels};
+use crate::config::{LightSampling, Render};
+use crate::illuminate::distant::{Stratum, median_cut, texels};
 use crate::illuminate::patch::{DistantSource, LightModel};
 use crate::image::RadianceImage;
+use crate::irradiance::split_beams;
+use crate::render::Environment;
 use crate::shadow::ShadowOrigin;
+use crate::transfer::sampling::{Shift, in_cap};
 use crate::visibility::Bvh;
 use glam::Vec3;
 use std::f32::consts::PI;
 
 /// At most `count` lights with all the power of a `latlong` environment; none where that is black.
-pub fn sample(environment: &RadianceImage, count: usize, sampling: LightSampling) -> Vec<DistantSource> {
+pub(crate) fn sample(environment: &RadianceImage, count: usize, sampling: LightSampling) -> Vec<Stratum> {
     match sampling {
         LightSampling::Structured => structured(environment, count),
         LightSampling::MedianCut => {
@@ -21,6 +24,31 @@ pub fn sample(environment: &RadianceImage, count: usize, sampling: LightSampling
     }
 }
 
+/// The lights of a scene model at `place` (m), most of them on its surfaces. A beam (the sun) is no part of the sampled
+/// environment, whose texels would move it: it is as many lights all over its disc as a tenth of all.
+pub(crate) fn lights_at(
+    model: &LightModel,
+    bvh: &Bvh,
+    place: Vec3,
+    count: usize,
+    settings: &Render,
+) -> Vec<Light> {
+    let width = settings.environment_px.max(8);
+    let (beams, soft) = split_beams(&model.distant);
+    let open: Vec<_> =
+        beams.into_iter().filter(|b| !bvh.any_hit(place, b.direction, 0.0, f32::INFINITY)).collect();
+    let each = if open.is_empty() { 0 } else { (count / 10 / open.len()).max(1) };
+    let points = open.iter().flat_map(|beam| {
+        let share = DistantSource { solid_angle_sr: beam.solid_angle_sr / each as f32, ..*beam };
+        let point = |i| in_cap(beam.direction, beam.angular_radius(), Shift::new(0, 0).point(i));
+        (0..each as u32).map(move |i| Light::distant(&DistantSource { direction: point(i), ..share }))
+    });
+    let environment = Environment::cast_with(&model.mesh, &soft, bvh, place, width, width / 2);
+    let rest = count.saturating_sub(each * open.len()).max(1);
+    let sources = sample(&environment.map, rest, settings.light_sampling);
+    points.chain(sources.iter().map(|stratum| Light::on_model(stratum, model, bvh, place))).collect()
+}
+
 /// A light of the environment as seen from one place.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Light {
@@ -28,6 +56,10 @@ pub struct Light {
     pub origin: ShadowOrigin,
     /// Irradiance that it gives at the environment's place to what faces it, plate units.
     pub power: [f32; 3],
+    /// Solid angle over which it is spread, sr, and so its gloss.
+    pub extent_sr: f32,
+    /// Solid angle that it stands for, sr: those of all lights together fill the sphere.
+    pub solid_angle_sr: f32,
     /// Of a light on the model's surfaces.
     near: Option<Near>,
 }
@@ -55,13 +87,25 @@ impl Light {
         Self {
             origin: ShadowOrigin::Direction(source.direction),
             power: source.radiance.map(|l| l * source.solid_angle_sr),
+            extent_sr: source.solid_angle_sr,
+            solid_angle_sr: source.solid_angle_sr,
             near: None,
         }
     }
 
+    /// The same as a point, whose gloss is as narrow as the material's: what additive shadows are made of.
+    pub fn as_point(self) -> Self {
+        Self { extent_sr: 0.0, ..self }
+    }
+
+    /// The same of a part of an environment.
+    pub(crate) fn of_stratum(stratum: &Stratum) -> Self {
+        Self { extent_sr: stratum.extent_sr, ..Self::distant(&stratum.source) }
+    }
+
     /// On the front of the surface that the light is seen on from `place` (m), at infinity where there is none.
-    pub fn on_model(source: &DistantSource, model: &LightModel, bvh: &Bvh, place: Vec3) -> Self {
-        let mut light = Self::distant(source);
+    pub(crate) fn on_model(stratum: &Stratum, model: &LightModel, bvh: &Bvh, place: Vec3) -> Self {
+        let (mut light, source) = (Self::of_stratum(stratum), &stratum.source);
         let Some(hit) = bvh.closest(place, source.direction, 0.0, f32::INFINITY) else { return light };
         let normal = model.mesh.normal(hit.triangle as usize);
         let cosine = -normal.dot(source.direction);
@@ -121,7 +165,7 @@ mod tests {
             });
             let exact = |c: usize| texels(&environment).iter().map(|t| t.power[c]).sum::<f64>();
             for sampling in [LightSampling::Structured, LightSampling::MedianCut] {
-                let lights = sample(&environment, count, sampling);
+                let lights: Vec<_> = sample(&environment, count, sampling).iter().map(|s| s.source).collect();
                 prop_assert!(lights.len() == count, "{} {:?} for {}", lights.len(), sampling, count);
                 for c in 0..3 {
                     prop_assert!((total(&lights, c) / exact(c) - 1.0).abs() < 1e-5, "{:?}", sampling);
@@ -147,6 +191,7 @@ mod tests {
         let model = LightModel { mesh, distant: vec![] };
         let bvh = Bvh::new(&model.mesh.vertices, &model.mesh.triangles());
         let up = DistantSource { direction: Vec3::Y, solid_angle_sr: 0.01, radiance: [2.0; 3] };
+        let up = Stratum { source: up, extent_sr: 0.01 };
         let lamp = Light::on_model(&up, &model, &bvh, Vec3::ZERO);
         assert!((lamp.seen_from(Vec3::ZERO).1 - 1.0).abs() < 1e-3);
         let (direction, gain) = lamp.seen_from(Vec3::Y * -2.0);
@@ -155,7 +200,12 @@ mod tests {
             !lamp.hidden_by(&bvh, Vec3::ZERO) && lamp.seen_from(Vec3::Y * 3.0).1 == 0.0,
             "no light behind it"
         );
-        let sky = Light::on_model(&DistantSource { direction: Vec3::X, ..up }, &model, &bvh, Vec3::ZERO);
+        let sky = Light::on_model(
+            &Stratum { source: DistantSource { direction: Vec3::X, ..up.source }, ..up },
+            &model,
+            &bvh,
+            Vec3::ZERO,
+        );
         assert_eq!(sky.origin, ShadowOrigin::Direction(Vec3::X));
         assert_eq!(sky.seen_from(Vec3::Y * -2.0), (Vec3::X, 1.0));
     }

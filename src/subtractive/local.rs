@@ -63,3 +63,39 @@ impl Unshadowed {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::LightSampling;
+    use crate::image::{Image, Radiance};
+    use crate::subtractive::sample;
+    use std::f32::consts::PI;
+
+    #[test]
+    fn a_white_furnace_stays_white() {
+        let environment = Environment { map: Image::from_fn(64, 32, |_, _| Radiance([2.0, 1.0, 0.5])) };
+        let lights = sample(&environment.map, 1000, LightSampling::Structured);
+        let lights: Vec<DistantSource> = lights.iter().map(|s| s.source).collect();
+        let viewer = Vec3::new(0.1, 0.2, 1.0).normalize();
+        let facets = |roughness| {
+            [
+                Brdf::TorranceSparrow { roughness, normal_reflectance: 1.0 },
+                Brdf::Ggx { roughness, normal_reflectance: 1.0 },
+            ]
+        };
+        let all = facets(0.3).into_iter().chain([Brdf::Phong { exponent: 40.0 }]);
+        for brdf in all {
+            let unshadowed = Unshadowed::new(&environment, brdf, viewer, &lights);
+            for normal in [viewer, (viewer + Vec3::X * 0.5).normalize()] {
+                let [irradiance, gloss] = [unshadowed.irradiance(normal), unshadowed.gloss(normal, viewer)];
+                assert!((irradiance[0] / (2.0 * PI) - 1.0).abs() < 1e-3, "{irradiance:?}");
+                assert!((0.85..1.03).contains(&(gloss[0] / 2.0)), "{brdf:?}: {gloss:?}");
+                assert!((gloss[2] / gloss[0] - 0.25).abs() < 1e-3, "{brdf:?}: {gloss:?}");
+            }
+            assert_eq!(unshadowed.gloss(-viewer, viewer), [0.0; 3], "from behind");
+        }
+        let matt = Unshadowed::new(&environment, Brdf::Lambert, viewer, &[]);
+        assert_eq!(matt.gloss(viewer, viewer), [0.0; 3]);
+    }
+}

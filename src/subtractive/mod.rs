@@ -1,7 +1,7 @@
 //! Subtractive shadows (DeCoro and Rusinkiewicz 2008): the whole unshadowed light in full detail, less a shadow buffer of
 //! few lights and few pixels.
 //!
-//! The environment at the object's place is sampled to lights ([`sample`], §2 step 1), each draws a shadow map
+//! The environment at the object's place is sampled to lights (§2 step 1, [`Light`]), each draws a shadow map
 //! ([`Casters`], step 2b), what the hidden ones would send is summed at a few pixels and resampled once ([`ShadowBuffer`],
 //! steps 2c, 2d and 4), and subtracted from the unshadowed light ([`Unshadowed`], steps 3 and 5). [`Detail`] holds its two
 //! knobs (§2.1) and how a time per frame drives both. On the plate the unshadowed light is the photograph.
@@ -29,7 +29,8 @@ pub use cache::RadianceCache;
 pub use casters::Casters;
 pub use detail::{Detail, Pace};
 pub use gather::{Sent, gather};
-pub use lights::{Light, sample};
+pub use lights::Light;
+pub(crate) use lights::sample;
 pub use local::Unshadowed;
 pub(crate) use object::render_object;
 pub use plate::Subtractive;

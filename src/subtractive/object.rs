@@ -1,9 +1,9 @@
 //! The object by subtractive shadows: unshadowed light in full detail less what it hides from itself, at the detail of
 //! the shadow buffer; or, to compare, added light by light.
 
-use super::plate::{hidden_share, shown};
+use super::lights::lights_at;
 use super::surface::pixel_angle;
-use super::{Brdf, Casters, Detail, Light, Sent, ShadowBuffer, Surface, gather, sample};
+use super::{Brdf, Casters, Detail, Light, Sent, ShadowBuffer, Surface, gather};
 use crate::render::{
     Environment, IrradianceAt, Lobe, Material, Object, Rendered, Sample, Scene, Set, Shadowed, render_with,
     visible,
@@ -12,6 +12,9 @@ use crate::shadow::Occluder;
 use crate::visibility::Bvh;
 use std::collections::BTreeMap;
 use std::f32::consts::PI;
+
+/// A small object's shadow buffer gets at least so many samples, if it has the pixels: as many as the paper's coarsest.
+const LEAST_SAMPLES: usize = 1000;
 
 struct Lit<'a> {
     object: &'a Object,
@@ -26,7 +29,7 @@ struct Lit<'a> {
 
 /// The object as the plate's camera sees it. `irradiance` is that of the empty scene, `environment` the one at the
 /// object's place; the object's own shadow on the scene dims the lights that lie in it. Light that the object sends to
-/// itself is left out.
+/// itself is estimated, not traced.
 pub(crate) fn render_object(
     set: &Set,
     object: &Object,
@@ -38,31 +41,33 @@ pub(crate) fn render_object(
     let detail = Detail::of(settings);
     let [low, high] = object.bounds();
     let place = (low + high) / 2.0;
-    let sources = sample(&environment.map, detail.lights, settings.light_sampling);
-    let lights: Vec<Light> =
-        sources.iter().map(|s| Light::on_model(s, set.light, set.light_bvh, place)).collect();
+    let lights = lights_at(set.light, set.light_bvh, place, detail.lights, settings);
     let occluder = Occluder { vertices: object.vertices.clone(), triangles: object.triangles.clone() };
     let bvh = Bvh::new(&object.vertices, &object.triangles);
     let scene = Scene::new(object, &bvh);
     let lit = Lit {
         object,
         scene: set.light_bvh,
-        left: sources.iter().map(|s| shadowed.left(place, s.direction)).collect(),
-        casters: Casters::draw(&lights, &occluder, settings.shadow_map_px),
+        left: lights.iter().map(|l| shadowed.left(place, l.seen_from(place).0)).collect(),
+        casters: Casters::on_itself(&lights, &occluder, settings.shadow_map_px),
         lights,
         offset: scene.offset,
     };
     let pixel = pixel_angle(set.camera);
     let (antialiasing, seed) = (settings.antialiasing, settings.seed);
     if settings.additive {
+        let lit = Lit { lights: lit.lights.iter().map(|l| l.as_point()).collect(), ..lit };
         return render_with(&scene, set.camera, set.scene_bvh, antialiasing, seed, |_, samples, _| {
             mean(samples, |sample| lit.added(&Surface::of_object(sample, pixel)))
         });
     }
     let surfaces =
         visible(&scene, set.camera, set.scene_bvh).map(|s| s.map(|s| Surface::of_object(&s, pixel)));
-    let find = |surfaces: &[Surface]| -> Vec<[f32; 6]> { surfaces.iter().map(|s| lit.hidden(s)).collect() };
-    let buffer = ShadowBuffer::fill(&surfaces, detail.side, find);
+    let find = |surfaces: &[Surface]| -> Vec<[f32; 7]> { surfaces.iter().map(|s| lit.hidden(s)).collect() };
+    let seen = surfaces.pixels().iter().flatten().count();
+    let side =
+        std::iter::successors(Some(detail.side), |s| Some(s / 2)).find(|s| seen >= LEAST_SAMPLES * s * s);
+    let buffer = ShadowBuffer::fill(&surfaces, side.unwrap_or(1).max(1), find);
     let lobes: BTreeMap<u32, Lobe> = object
         .materials
         .iter()
@@ -71,10 +76,13 @@ pub(crate) fn render_object(
         .collect();
     render_with(&scene, set.camera, set.scene_bvh, antialiasing, seed, |[x, y], samples, _| {
         let centre = surfaces.at(x, y).unwrap_or_else(|| Surface::of_object(&samples[0], pixel));
-        let near =
-            if surfaces.at(x, y).is_some() || detail.side > 1 { buffer.at(x, y, &centre) } else { None };
-        let hidden = Sent::from_array(near.unwrap_or_else(|| lit.hidden(&centre)));
+        let near = buffer.at(x, y, &centre);
         mean(samples, |sample| {
+            let surface = Surface::of_object(sample, pixel);
+            // Where parts of the object meet in a pixel, each has a shadow of its own.
+            let entry = near.filter(|_| surface.adjoins(&centre)).unwrap_or_else(|| lit.hidden(&surface));
+            let [a, b, c, d, e, f, own] = entry;
+            let hidden = Sent::from_array([a, b, c, d, e, f]);
             let material = &object.materials[sample.material as usize];
             let open = irradiance(sample.position, sample.normal);
             let cos = -sample.view.dot(sample.normal);
@@ -82,10 +90,12 @@ pub(crate) fn render_object(
                 Some(lobe) if cos > 0.0 => lobe.reflected(sample.view + sample.normal * (2.0 * cos), cos),
                 _ => [0.0; 3],
             };
-            // The buffer holds the hidden share of the irradiance, and the hidden gloss itself.
-            let left = |k: usize| open[k].max(0.0) * (1.0 - hidden.irradiance[k]);
             let sent = Sent {
-                irradiance: [0, 1, 2].map(left),
+                irradiance: [0, 1, 2].map(|k| {
+                    // One bounce: what sends it is about as hidden as what receives it.
+                    let bounce = open[k].max(0.0) * material.diffuse[k] * own * (1.0 - own);
+                    (open[k] - hidden.irradiance[k]).max(0.0) + bounce
+                }),
                 gloss: [0, 1, 2].map(|k| (gloss[k] - hidden.gloss[k]).max(0.0)),
             };
             reflected(material, &sent)
@@ -125,18 +135,19 @@ impl Lit<'_> {
         }
     }
 
-    /// An entry of the shadow buffer: share of the irradiance, and gloss.
-    fn hidden(&self, surface: &Surface) -> [f32; 6] {
-        let (brdf, all) = (self.brdf(surface), || 0..self.lights.len());
-        let hidden = gather(surface, brdf, &self.lights, all(), |i, direction| {
+    /// An entry of the shadow buffer: hidden irradiance and gloss, and the share of the surface's half space (by cosine) in
+    /// which it sees the object itself.
+    fn hidden(&self, surface: &Surface) -> [f32; 7] {
+        let (all, mut own) = (0..self.lights.len(), 0.0);
+        let hidden = gather(surface, self.brdf(surface), &self.lights, all, |i, direction| {
             let gone = self.gone(i, surface, direction);
+            if gone == [1.0; 3] {
+                own += surface.normal.dot(direction) * self.lights[i].solid_angle_sr / PI;
+            }
             if gone != [0.0; 3] && self.reaches(i, surface) { gone } else { [0.0; 3] }
         });
-        if hidden == Sent::default() {
-            return [0.0; 6];
-        }
-        let whole = gather(surface, None, &self.lights, all(), |i, _| shown(self.reaches(i, surface)));
-        Sent { irradiance: hidden_share(hidden.irradiance, whole.irradiance), ..hidden }.to_array()
+        let [a, b, c, d, e, f] = hidden.to_array();
+        [a, b, c, d, e, f, own.min(1.0)]
     }
 
     /// Additive shadows: the radiance of all lights that arrive.

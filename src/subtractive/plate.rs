@@ -1,15 +1,16 @@
-//! The shadow on the plate: the unshadowed light is the photograph, the shadow buffer holds the share that is hidden.
+//! The shadow on the plate: the unshadowed light is the photograph, the shadow buffer holds the irradiance that is hidden.
 //!
-//! ε(x) = B(x) Σ_hidden E_i / Σ_all E_i over the lights i that the scene model leaves to x. A ratio, since the few lights
-//! and the photograph do not agree on the absolute irradiance: where all lights are hidden, all light is gone.
+//! ε(x) = B(x) S′(x) / E(x), with S the irradiance of the lights that the object hides and the scene model does not, and E
+//! that of all light of the empty scene, which the radiance transfers know: the plate's reflectance and texture stay.
 
-use super::{Casters, Detail, Light, Pace, ShadowBuffer, Surface, gather, sample};
+use super::lights::lights_at;
+use super::{Casters, Detail, Light, Pace, ShadowBuffer, Surface, gather};
 use crate::config::Render;
 use crate::image::{Image, Radiance};
-use crate::render::Environment;
 use crate::shadow::{Bounds, Occluder, Problem, Removed, Scene};
 use crate::visibility::Bvh;
 use glam::Vec3;
+use rayon::prelude::*;
 use std::time::Instant;
 
 /// The method `subtractive`, prepared for a scene.
@@ -17,6 +18,8 @@ pub struct Subtractive<'a> {
     scene: Scene<'a>,
     settings: Render,
     surfaces: Image<Option<Surface>>,
+    /// Irradiance of the empty scene by pixel, plate units.
+    irradiance: Vec<[f32; 3]>,
     /// Number of pixels that see a surface.
     seen: usize,
     model: Bvh,
@@ -33,9 +36,18 @@ impl<'a> Subtractive<'a> {
         check(settings)?;
         let mesh = &scene.light.mesh;
         let surfaces = Surface::of_receivers(scene.receivers);
+        let irradiance = scene.receivers.pixels.pixels().par_iter().map(|receiver| {
+            let Some(receiver) = receiver else { return Ok([0.0; 3]) };
+            scene.transfers.irradiance_on(receiver).ok_or_else(|| Problem::Mismatch {
+                what: "patch seen by the plate",
+                found: format!("patch {} has no transfers", receiver.patch),
+                expected: format!("one of {} receiver patches", scene.transfers.receivers.patches.len()),
+            })
+        });
         Ok(Self {
             scene: *scene,
             settings: settings.clone(),
+            irradiance: irradiance.collect::<Result<_, _>>()?,
             seen: surfaces.pixels().iter().flatten().count(),
             surfaces,
             model: Bvh::new(&mesh.vertices, &mesh.triangles()),
@@ -53,22 +65,23 @@ impl<'a> Subtractive<'a> {
             _ => wanted,
         };
         let place = Bounds::of(occluder).centre;
-        let width = self.settings.environment_px.max(8);
-        let environment = Environment::cast(self.scene.light, &self.model, place, width, width / 2);
-        let lights = lights_at(&self.scene, &self.model, &environment, place, detail.lights, &self.settings);
+        let lights = lights_at(self.scene.light, &self.model, place, detail.lights, &self.settings);
         if lights.is_empty() {
             return Err(Problem::Dark);
         }
         let mut marks = vec![started.elapsed()];
         let casters = Casters::draw(&lights, occluder, self.settings.shadow_map_px);
         marks.push(started.elapsed());
-        let find = |surfaces: &[Surface]| hidden_shares(surfaces, &lights, &casters, &self.model);
+        let find = |surfaces: &[Surface]| hidden(surfaces, &lights, &casters, &self.model);
         let buffer = ShadowBuffer::fill(&self.surfaces, detail.side, find);
         marks.push(started.elapsed());
-        let shares = buffer.resample(&self.surfaces, find);
+        let gone = buffer.resample(&self.surfaces, find);
         let (plate, (width, height)) = (self.scene.plate, self.scene.plate.size());
-        let epsilon = plate.pixels().iter().zip(shares.pixels());
-        let epsilon = epsilon.map(|(b, share)| Radiance([0, 1, 2].map(|k| b.0[k].max(0.0) * share[k])));
+        let share = |gone: f32, all: f32| if all > 0.0 { (gone / all).clamp(0.0, 1.0) } else { 0.0 };
+        let pixels = plate.pixels().iter().zip(gone.pixels()).zip(&self.irradiance);
+        let epsilon = pixels.map(|((plate, gone), all)| {
+            Radiance([0, 1, 2].map(|k| plate.0[k].max(0.0) * share(gone[k], all[k])))
+        });
         let epsilon = Image::from_pixels(width, height, epsilon.collect());
         let [before, drawn, found] = [0, 1, 2].map(|i| marks[i].as_secs_f64());
         let rest = before + started.elapsed().as_secs_f64() - found;
@@ -86,52 +99,21 @@ impl<'a> Subtractive<'a> {
     }
 }
 
-/// The lights of an environment made at `place` (m), on the scene model.
-fn lights_at(
-    scene: &Scene,
-    model: &Bvh,
-    environment: &Environment,
-    place: Vec3,
-    count: usize,
-    settings: &Render,
-) -> Vec<Light> {
-    let sources = sample(&environment.map, count, settings.light_sampling);
-    sources.iter().map(|source| Light::on_model(source, scene.light, model, place)).collect()
-}
-
-/// Share of the irradiance of each of neighbouring surfaces that the object hides.
-fn hidden_shares(surfaces: &[Surface], lights: &[Light], casters: &Casters, model: &Bvh) -> Vec<[f32; 3]> {
+/// Irradiance that the object hides from each of neighbouring surfaces, plate units.
+fn hidden(surfaces: &[Surface], lights: &[Light], casters: &Casters, model: &Bvh) -> Vec<[f32; 3]> {
     let Some(first) = surfaces.first() else { return Vec::new() };
     let low = surfaces.iter().fold(first.position, |a, s| a.min(s.position));
     let high = surfaces.iter().fold(first.position, |a, s| a.max(s.position));
     let near = casters.near((low + high) / 2.0, low.distance(high) / 2.0);
-    surfaces
-        .iter()
-        .map(|surface| {
-            let from = surface.position + surface.normal * OFFSET_M;
-            let left = |i: usize| !lights[i].hidden_by(model, from);
-            let mut hidden = vec![false; lights.len()];
-            let gone = gather(surface, None, lights, near.iter().copied(), |i, direction| {
-                hidden[i] = casters.hide(i, surface, direction) && left(i);
-                shown(hidden[i])
-            });
-            if gone.irradiance == [0.0; 3] {
-                return [0.0; 3];
-            }
-            let all = gather(surface, None, lights, 0..lights.len(), |i, _| shown(hidden[i] || left(i)));
-            hidden_share(gone.irradiance, all.irradiance)
-        })
-        .collect()
-}
-
-/// White or black.
-pub(super) fn shown(yes: bool) -> [f32; 3] {
-    [if yes { 1.0 } else { 0.0 }; 3]
-}
-
-/// Part of the whole, by channel, 0 where there is nothing.
-pub(super) fn hidden_share(part: [f32; 3], whole: [f32; 3]) -> [f32; 3] {
-    [0, 1, 2].map(|k| if whole[k] > 0.0 { (part[k] / whole[k]).clamp(0.0, 1.0) } else { 0.0 })
+    let hidden = |surface: &Surface| {
+        let from = surface.position + surface.normal * OFFSET_M;
+        let gone = |i: usize, direction: Vec3| {
+            let gone = casters.hide(i, surface, direction) && !lights[i].hidden_by(model, from);
+            if gone { [1.0; 3] } else { [0.0; 3] }
+        };
+        gather(surface, None, lights, near.iter().copied(), gone).irradiance
+    };
+    surfaces.iter().map(hidden).collect()
 }
 
 impl Detail {

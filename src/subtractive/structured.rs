@@ -4,8 +4,7 @@
 //! brightest layer first; those of a region count towards that of the layer below. Each new light goes where its region
 //! is farthest from all lights so far (Hochbaum and Shmoys 1985). At last every texel's light goes to the nearest one.
 
-use crate::illuminate::distant::{Texel, source, texels};
-use crate::illuminate::patch::DistantSource;
+use crate::illuminate::distant::{Stratum, Texel, stratum, texels};
 use crate::image::{RadianceImage, luminance};
 use glam::Vec3;
 
@@ -17,7 +16,7 @@ const COHERENT_SR: f64 = 0.01;
 /// At most `count` lights of an environment, fewer where it is dark or has fewer texels. Their power (radiance × solid
 /// angle) is the environment's to rounding; each lies where its texels' power has its centroid, which for a whole stratum
 /// serves better than the paper's centre of it.
-pub fn structured(environment: &RadianceImage, count: usize) -> Vec<DistantSource> {
+pub(super) fn structured(environment: &RadianceImage, count: usize) -> Vec<Stratum> {
     let size = environment.size();
     let texels = texels(environment);
     let radiance: Vec<f64> =
@@ -39,7 +38,7 @@ pub fn structured(environment: &RadianceImage, count: usize) -> Vec<DistantSourc
             points.add(&region, more, |i| radiance[i]);
         }
     }
-    strata(&texels, &points.chosen).iter().filter_map(|stratum| source(stratum)).collect()
+    strata(&texels, &points.chosen).iter().filter_map(|texels| stratum(texels)).collect()
 }
 
 /// Of luminance over the texels.
@@ -123,6 +122,7 @@ fn strata(texels: &[Texel], chosen: &[usize]) -> Vec<Vec<Texel>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::illuminate::patch::DistantSource;
     use crate::image::{Image, Radiance};
 
     #[test]
@@ -137,7 +137,7 @@ mod tests {
     fn a_lamp_gets_its_share_of_the_lights_and_they_lie_in_it() {
         let lamp = |x: usize, y: usize| (20..24).contains(&x) && (10..13).contains(&y);
         let environment = Image::from_fn(64, 32, |x, y| Radiance([if lamp(x, y) { 500.0 } else { 1.0 }; 3]));
-        let lights = structured(&environment, 40);
+        let lights: Vec<_> = structured(&environment, 40).iter().map(|s| s.source).collect();
         let [low, high] =
             [(20.0, 10.0), (24.0, 13.0)].map(|(x, y)| crate::probe::latlong::direction(x, y, 64, 32));
         let reach = low.distance(high);

@@ -40,6 +40,12 @@ impl Surface {
         }
     }
 
+    /// Whether both can be one smooth surface within a pixel.
+    pub(crate) fn adjoins(&self, other: &Self) -> bool {
+        let near = self.position.distance(other.position) < 2.0 * self.pixel_m.max(other.pixel_m);
+        near && self.normal.dot(other.normal) > 0.8
+    }
+
     /// All receivers of a plate.
     pub fn of_receivers(receivers: &Receivers) -> Image<Option<Self>> {
         receivers.pixels.map(|receiver| {

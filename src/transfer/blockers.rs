@@ -32,6 +32,8 @@ pub(super) struct Sides {
 
 /// Numbers kept of the distances of nodes from planes at most.
 const MOST_SIDES: usize = 4 << 20;
+/// Nodes smaller than this share of the points' spread are not parted.
+const SMALL_NODE: f32 = 1.5;
 /// A point this near to a plane, as a share of the scene's diagonal, counts as on it.
 const ON_PLANE: f32 = 2e-6;
 
@@ -125,8 +127,17 @@ impl Search<'_> {
         let left: Vec<u32> = above.iter().filter(may).copied().collect();
         if left.is_empty() {
             free[node as usize] = true;
-        } else if let Some(below) = n.children {
+        } else if let Some(below) = n.children.filter(|_| self.smaller_than(n.extent)) {
             below.iter().for_each(|&c| self.visit(c, &left, free));
+        }
+    }
+
+    /// Whether the points are less spread than a node: else it is they for which faces stand between, and parting the node
+    /// finds little more that is free.
+    fn smaller_than(&self, extent: Extent) -> bool {
+        match extent {
+            Extent::Patches(b) => b.size().length() > SMALL_NODE * self.bounds.size().length(),
+            Extent::Distant(_) | Extent::Both => true,
         }
     }
 

@@ -1,7 +1,7 @@
 //! Sparse transfers: for every receiver vertex a cut of the source tree.
 //!
-//! An entry at an inner node holds the exact sum of what the sources below send to the vertex; how it parts among them is
-//! the tree's average. The cut is as coarse as that allows: for each entry, what the sources below really send and what
+//! An entry at an inner node holds the sum of what the sources below send to the vertex; how it parts among them is the
+//! tree's average. The cut is as coarse as that allows: for each entry, what the sources below really send and what
 //! their average share says differ by at most the tolerance times the vertex's irradiance (sum of absolute differences of
 //! luminance over the sources).
 

@@ -5,17 +5,43 @@
 //! is ρ/π times the irradiance ∫ [1 + s cosⁿα] L cos θ dω with s = k/ρ · (n + 2)/2: so weighted, transfers stay
 //! irradiances, and ε remains the plate's radiance times the share of them that is blocked.
 
+use crate::camera::Camera;
+use crate::illuminate::patch::Patch;
 use crate::model::face::Gloss;
 use glam::Vec3;
 
 /// The lobe of a receiver vertex towards the plate's camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Lobe {
+pub(crate) struct Lobe {
     /// Unit vector along the mirrored line of sight.
     axis: Vec3,
     exponent: f32,
     /// s of each channel.
     strength: [f32; 3],
+}
+
+/// What the receivers mirror to the plate's camera.
+#[derive(Debug, Clone, Copy)]
+pub struct Finish<'a> {
+    /// Centre of the plate's camera, m.
+    pub eye: Vec3,
+    /// By face of the scene.
+    pub gloss: &'a [Option<Gloss>],
+}
+
+impl<'a> Finish<'a> {
+    /// Of faces as a camera sees them; `None`: nothing is mirrored.
+    pub fn new(camera: &Camera, gloss: &'a [Option<Gloss>]) -> Option<Self> {
+        let eye = camera.centre();
+        let eye = Vec3::new(eye.x as f32, eye.y as f32, eye.z as f32);
+        gloss.iter().any(Option::is_some).then_some(Self { eye, gloss })
+    }
+
+    /// The lobe of a point of a patch.
+    pub(crate) fn lobe(&self, patch: &Patch, position: Vec3, normal: Vec3) -> Option<Lobe> {
+        let gloss = self.gloss.get(patch.face as usize)?.as_ref()?;
+        Lobe::new(gloss, patch.reflectance, position, normal, self.eye)
+    }
 }
 
 /// Diffuse reflectance counts as at least this.

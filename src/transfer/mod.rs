@@ -30,8 +30,9 @@ use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
 pub use links::Links;
+pub use lobe::Finish;
+pub(crate) use lobe::Lobe;
 pub use receivers::{ReceiverMesh, ReceiverTriangle};
-pub use rows::Finish;
 pub use shafts::{Affected, ShaftCounts, ShaftHierarchy, Traversal};
 pub use solve::{solve, solve_glossy};
 

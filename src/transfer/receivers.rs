@@ -67,38 +67,64 @@ impl ReceiverMesh {
 
     /// Remakes [`Self::triangles`] after splits.
     pub(super) fn list_triangles(&mut self) {
-        self.triangles.clear();
-        let mut below = Vec::new();
+        let triangle =
+            |(i, patch): (u32, u32)| ReceiverTriangle { vertices: self.parts[i as usize].vertices, patch };
+        self.triangles = self.leaves().into_iter().map(triangle).collect();
+    }
+
+    /// The parts that are not split further with their patches, patch by patch.
+    fn leaves(&self) -> Vec<(u32, u32)> {
+        let (mut leaves, mut below) = (Vec::with_capacity(self.parts.len()), Vec::new());
         for (root, &patch) in self.patches.iter().enumerate() {
             below.push(root as u32);
             while let Some(i) = below.pop() {
-                let part = self.parts[i as usize];
-                match part.split {
-                    None => self.triangles.push(ReceiverTriangle { vertices: part.vertices, patch }),
+                match self.parts[i as usize].split {
+                    None => leaves.push((i, patch)),
                     Some(split) => below.extend([split.first + 1, split.first]),
                 }
             }
         }
+        leaves
+    }
+
+    /// How many of some points lie in each of [`Self::triangles`]. Points are parts with weights of their vertices, and move
+    /// down to those that are not split further.
+    pub(super) fn count(&self, points: &mut [(u32, [f32; 3])]) -> Vec<u32> {
+        let mut counts = vec![0; self.parts.len()];
+        for point in points {
+            *point = self.descend(*point);
+            counts[point.0 as usize] += 1;
+        }
+        self.leaves().into_iter().map(|(i, _)| counts[i as usize]).collect()
     }
 
     /// Receiver vertices around a point of a patch and their weights (sum 1, as those given). `None`: the patch is no
     /// receiver.
     pub fn locate(&self, patch: u32, barycentric: [f32; 3]) -> Option<([u32; 3], [f32; 3])> {
-        let mut part = &self.parts[self.patches.binary_search(&patch).ok()?];
-        let mut weights = barycentric;
-        while let Some(Split { edge, first }) = part.split {
+        let (part, weights) = self.descend((self.root(patch)?, barycentric));
+        Some((self.parts[part as usize].vertices, weights))
+    }
+
+    /// The part that is a whole patch.
+    pub(super) fn root(&self, patch: u32) -> Option<u32> {
+        self.patches.binary_search(&patch).ok().map(|i| i as u32)
+    }
+
+    /// The part below that is around a point and not split further.
+    fn descend(&self, (mut part, mut weights): (u32, [f32; 3])) -> (u32, [f32; 3]) {
+        while let Some(Split { edge, first }) = self.parts[part as usize].split {
             let (start, end) = (edge as usize, (edge as usize + 1) % 3);
             let (a, b) = (weights[start], weights[end]);
             // w_a A + w_b B with the middle M = (A + B) / 2.
             if a >= b {
                 (weights[start], weights[end]) = (a - b, 2.0 * b);
-                part = &self.parts[first as usize];
+                part = first;
             } else {
                 (weights[start], weights[end]) = (2.0 * a, b - a);
-                part = &self.parts[first as usize + 1];
+                part = first + 1;
             }
         }
-        Some((part.vertices, weights))
+        (part, weights)
     }
 
     /// Centroid of a triangle, m.

@@ -1,28 +1,33 @@
 //! Receivers are split where what reaches them is not linear: at the borders of the scene's own shadows, so that light
 //! which furniture hides already is not taken away again beside them.
 //!
-//! An edge is a candidate where clusters of sources are hidden to different parts at its ends: between those, its middle is
-//! off by at most half the difference. The middle is then gathered, and the edge is halved where that differs from the mean of the ends by more than the tolerance. Triangles are bisected at
-//! their longest edge first (Rivara 1984), so that the mesh stays conforming and its angles stay bounded.
+//! At the middle of an edge the triangles beside it are off by the difference between what is gathered there and the mean
+//! of the ends. Its square, weighed by the pixels that see those triangles, is the edge's share in the mean square error
+//! of the picture: the edges of the largest shares are halved until the rest is within the tolerance (Dörfler 1996).
+//! Middles are gathered in the same order, by what they can be off at most: where clusters of sources are hidden to
+//! different parts at the ends, half the difference. Triangles are bisected at their longest edge first (Rivara 1984), so
+//! that the mesh stays conforming and its angles stay bounded.
 
 use super::receivers::{Part, ReceiverMesh, Split};
 use super::rows::{Lighting, Row, Surroundings};
+use crate::image::Image;
+use crate::shadow::Receiver;
 use glam::Vec3;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Rounds of halving.
-const ROUNDS: usize = 6;
-/// Edges are not halved below this many pixels.
-const LEAST_PX: f32 = 4.0;
+/// Edges are not halved that have fewer pixels beside them.
+const LEAST_PIXELS: f64 = 4.0;
+/// The picture is judged by about so many of its pixels.
+const JUDGED_PIXELS: usize = 1 << 20;
 
 /// Where to stop.
 pub(super) struct Limits<'a> {
-    /// Share of the irradiance by which a middle may differ from the mean of its ends.
+    /// Root mean square over the picture of how far receivers are off, as a share of the irradiance.
     pub tolerance: f64,
     /// Receiver vertices.
     pub vertices: usize,
-    /// Size of a pixel on each receiver patch, m, in the order of [`ReceiverMesh::patches`].
-    pub pixels: &'a [f32],
+    /// What each pixel sees.
+    pub plate: &'a Image<Option<Receiver>>,
 }
 
 type Edge = (u32, u32);
@@ -33,8 +38,16 @@ struct Middle {
     off: f64,
 }
 
-/// What beside an edge its middle needs: sum and number of the centroids of its triangles, and one of their patches.
-type Beside = (Vec3, f32, u32);
+/// The triangles beside an edge.
+#[derive(Default)]
+struct Beside {
+    /// Sum and number of their centroids.
+    centroids: (Vec3, f32),
+    /// A patch of theirs.
+    patch: u32,
+    /// Pixels that see them.
+    pixels: f64,
+}
 
 /// Splits receivers and appends the rows of new vertices; `done` is called for each point that is gathered.
 pub(super) fn refine(
@@ -45,18 +58,26 @@ pub(super) fn refine(
     limits: &Limits,
     done: &(impl Fn() + Sync),
 ) {
+    let all = limits.plate.pixels();
+    let step = all.len().div_ceil(JUDGED_PIXELS).max(1);
+    let place = |r: &Receiver| Some((receivers.root(r.patch)?, r.barycentric));
+    let mut judged: Vec<_> = all.iter().step_by(step).flatten().filter_map(place).collect();
+    // Each pixel lies beside three edges.
+    let most = limits.tolerance.powi(2) * 3.0 * (step * judged.len()) as f64;
     let mut middles: BTreeMap<Edge, Middle> = BTreeMap::new();
-    for _ in 0..ROUNDS {
-        let edges = edges(receivers);
+    while receivers.positions.len() < limits.vertices {
+        let left = limits.vertices - receivers.positions.len();
+        let pixels = receivers.count(&mut judged);
+        let edges = edges(receivers, pixels.iter().map(|&n| (step * n as usize) as f64));
         let gather = |middles: &mut BTreeMap<Edge, Middle>,
                       receivers: &ReceiverMesh,
                       rows: &[Row],
                       chosen: &[Edge]| {
             let point = |edge: &Edge| {
-                let (sum, count, patch) = edges[edge];
+                let beside = &edges[edge];
                 let (position, normal) = (receivers.middle(*edge), receivers.normals[edge.0 as usize]);
-                let group = surroundings.group(receivers, patch);
-                (group, surroundings.point(patch, position, normal, (sum, count)))
+                let group = surroundings.group(receivers, beside.patch);
+                (group, surroundings.point(beside.patch, position, normal, beside.centroids))
             };
             let points: Vec<_> = chosen.iter().map(point).collect();
             for (&edge, row) in chosen.iter().zip(surroundings.rows(lighting, &points, done)) {
@@ -64,24 +85,23 @@ pub(super) fn refine(
                 middles.insert(edge, Middle { row, off });
             }
         };
-        let long = |edge: &Edge, (_, _, patch): &Beside| {
-            let px = receivers.patches.binary_search(patch).map_or(0.0, |i| limits.pixels[i]);
-            receivers.length(*edge) > LEAST_PX * px
-        };
-        let candidates = edges.iter().filter(|(e, beside)| {
+        let seen = || edges.iter().filter(|(_, beside)| beside.pixels >= LEAST_PIXELS);
+        let at_most = |(&e, beside): (&Edge, &Beside)| {
             let [a, b] = [e.0, e.1].map(|v| &rows[v as usize]);
-            long(e, beside) && !middles.contains_key(e) && uneven(a, b) > limits.tolerance
-        });
-        let candidates: Vec<Edge> = candidates.map(|(&e, _)| e).collect();
+            (e, (uneven(a, b) / 2.0).powi(2) * beside.pixels)
+        };
+        let unknown = seen().filter(|(e, _)| !middles.contains_key(e)).map(at_most).collect();
+        let mut candidates = largest(unknown, most);
+        candidates.truncate(left);
         gather(&mut middles, receivers, rows, &candidates);
-        let bent = |e: &&Edge| middles.get(e).is_some_and(|m| m.off > limits.tolerance);
-        let mut halved: Vec<Edge> = edges.keys().filter(bent).copied().collect();
-        let off = |e: &Edge| middles[e].off * f64::from(receivers.length(*e));
-        halved.sort_by(|a, b| off(b).total_cmp(&off(a)).then(a.cmp(b)));
-        halved.truncate(limits.vertices.saturating_sub(receivers.positions.len()));
-        if halved.is_empty() {
+        let square = |(&e, beside): (&Edge, &Beside)| Some((e, middles.get(&e)?.off.powi(2) * beside.pixels));
+        let squares: Vec<(Edge, f64)> = seen().filter_map(square).collect();
+        if squares.iter().map(|s| s.1).sum::<f64>() <= most {
             break;
         }
+        // The other half is for what the parts are still off.
+        let mut halved = largest(squares, most / 2.0);
+        halved.truncate(left);
         let halved = closed(receivers, halved);
         let missing: Vec<Edge> = halved.iter().copied().filter(|e| !middles.contains_key(e)).collect();
         gather(&mut middles, receivers, rows, &missing);
@@ -96,14 +116,28 @@ pub(super) fn refine(
     }
 }
 
-/// Edges of the triangles.
-fn edges(receivers: &ReceiverMesh) -> BTreeMap<Edge, Beside> {
-    let mut edges = BTreeMap::new();
-    for t in &receivers.triangles {
+/// The fewest edges, largest squares first, without which the squares of the others sum up to no more than `rest`.
+fn largest(mut squares: Vec<(Edge, f64)>, rest: f64) -> Vec<Edge> {
+    squares.sort_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)));
+    let sums = squares.iter().scan(0.0, |sum, s| {
+        *sum += s.1;
+        Some(*sum)
+    });
+    let small = sums.take_while(|&sum| sum <= rest).count();
+    squares.drain(..small);
+    squares.into_iter().rev().map(|s| s.0).collect()
+}
+
+/// Edges of the triangles, which have so many pixels each.
+fn edges(receivers: &ReceiverMesh, pixels: impl Iterator<Item = f64>) -> BTreeMap<Edge, Beside> {
+    let mut edges: BTreeMap<Edge, Beside> = BTreeMap::new();
+    for (t, pixels) in receivers.triangles.iter().zip(pixels) {
         let centroid = receivers.centroid(t);
         for k in 0..3 {
-            let slot = edges.entry(edge(t.vertices, k)).or_insert((Vec3::ZERO, 0.0, t.patch));
-            *slot = (slot.0 + centroid, slot.1 + 1.0, slot.2);
+            let beside = edges.entry(edge(t.vertices, k)).or_default();
+            beside.centroids = (beside.centroids.0 + centroid, beside.centroids.1 + 1.0);
+            beside.patch = t.patch;
+            beside.pixels += pixels;
         }
     }
     edges
@@ -237,21 +271,21 @@ mod tests {
             let mut mesh = grid(3);
             let flat = mesh.clone();
             for round in picks {
-                let all: Vec<Edge> = edges(&mesh).into_keys().collect();
+                let all: Vec<Edge> = edges(&mesh, std::iter::repeat(1.0)).into_keys().collect();
                 let chosen = round.iter().map(|&k| all[k % all.len()]).collect();
                 let vertex_of: BTreeMap<_, _> =
                     closed(&mesh, chosen).into_iter().map(|e| (e, mesh.halve(e))).collect();
                 mesh.bisect(&vertex_of);
             }
             // No vertex lies within an edge, and the area stays.
-            let edges = edges(&mesh);
-            for (&(a, b), &(_, beside, _)) in &edges {
+            let edges = edges(&mesh, std::iter::repeat(1.0));
+            for (&(a, b), beside) in &edges {
                 let [p, q] = [a, b].map(|v| mesh.positions[v as usize]);
                 for &r in &mesh.positions {
                     let inside = (r.distance(p) + r.distance(q) - p.distance(q)).abs() < 1e-5;
                     prop_assert!(!inside || r.distance(p) < 1e-5 || r.distance(q) < 1e-5, "T-junction at {}", r);
                 }
-                prop_assert!(beside <= 2.0);
+                prop_assert!(beside.pixels <= 2.0);
             }
             let area = mesh.vertex_areas().iter().sum::<f64>();
             prop_assert!((area - 9.0).abs() < 1e-4);
@@ -263,6 +297,22 @@ mod tests {
                 (0..3).map(|k| m.positions[vertices[k] as usize] * w[k]).sum::<Vec3>()
             };
             prop_assert!(place(&mesh).distance(place(&flat)) < 1e-5);
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn the_largest_leave_no_more_than_asked_for(
+            squares in prop::collection::vec(0.0..9.0f64, 0..30), rest in 0.0..40.0f64,
+        ) {
+            let squares: Vec<(Edge, f64)> = (0..).map(|i| (i, i + 1)).zip(squares).collect();
+            let chosen = largest(squares.clone(), rest);
+            let square = |e: &Edge| squares[e.0 as usize].1;
+            prop_assert!(chosen.is_sorted_by(|a, b| square(a) >= square(b)));
+            let all: f64 = squares.iter().map(|s| s.1).sum();
+            let left = all - chosen.iter().map(square).sum::<f64>();
+            prop_assert!(left <= rest + 1e-9);
+            prop_assert!(chosen.last().is_none_or(|e| left + square(e) > rest - 1e-9), "one too many");
         }
     }
 

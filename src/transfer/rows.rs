@@ -4,39 +4,32 @@ use super::blockers::{Blockers, Sides};
 use super::field::{LightField, Point};
 use super::gather::{Fineness, Gatherer, OFFSET_M, Sent};
 use super::links::{Cutter, Entry};
-use super::lobe::Lobe;
+use super::lobe::Finish;
 use super::octree::ReceiverTree;
 use super::receivers::ReceiverMesh;
 use super::sets;
 use super::{SourceTree, tree::LightTree};
 use crate::illuminate::patch::PatchMesh;
 use crate::image::luminance;
-use crate::model::face::Gloss;
 use crate::visibility::Bvh;
 use glam::Vec3;
 use rayon::prelude::*;
+use std::sync::OnceLock;
 
 /// Vertices move towards the middle of their triangles by this share of the distance, so that one on the border of a
 /// face looks past the wall that adjoins there.
 const INSET: f32 = 0.02;
 /// Receiver patches that ask together what may stand between them and the lights.
 const GROUP_PATCHES: usize = 32;
-/// Groups whose results are held before they are summed.
+/// Points whose results are held before they are summed.
 const BATCH: usize = 64;
 
 /// Lights, and where they lie to the scene's planes.
 pub(super) struct Field {
     pub lights: LightField,
     sides: Sides,
-}
-
-/// What the receivers mirror to the plate's camera.
-#[derive(Debug, Clone, Copy)]
-pub struct Finish<'a> {
-    /// Centre of the plate's camera, m.
-    pub eye: Vec3,
-    /// By face of the scene.
-    pub gloss: &'a [Option<Gloss>],
+    /// By group of receivers: the nodes that nothing can hide from it, found when it is asked for.
+    free: Vec<OnceLock<Vec<bool>>>,
 }
 
 /// The static scene around the receivers.
@@ -47,6 +40,8 @@ pub(super) struct Surroundings<'a> {
     gatherer: Gatherer<'a>,
     /// Group of each receiver patch, in the order of [`ReceiverMesh::patches`].
     group_of: Vec<u32>,
+    /// Corners of each group as far inset as they may be, m: their hull holds every point of the group.
+    places: Vec<Vec<Vec3>>,
 }
 
 /// What a receiver vertex gets.
@@ -85,11 +80,30 @@ impl<'a> Surroundings<'a> {
             let members = &octree.order[node.patches.start as usize..node.patches.end as usize];
             members.iter().for_each(|&i| group_of[i as usize] = group);
         }
-        Self { mesh, finish, blockers: Blockers::new(mesh), gatherer: Gatherer { bvh, rays }, group_of }
+        let mut around = vec![Vec::new(); receivers.positions.len()];
+        for t in &receivers.triangles {
+            t.vertices.iter().for_each(|&v| around[v as usize].extend(t.vertices));
+        }
+        let at = |v: u32| receivers.positions[v as usize];
+        let inset = |&v: &u32| {
+            let base = at(v) + receivers.normals[v as usize] * OFFSET_M;
+            around[v as usize].iter().map(move |&w| base + (at(w) - at(v)) * INSET)
+        };
+        let vertices = octree.vertices(receivers);
+        let places = vertices.iter().map(|group| group.iter().flat_map(inset).collect()).collect();
+        let (blockers, gatherer) = (Blockers::new(mesh), Gatherer { bvh, rays });
+        Self { mesh, finish, blockers, gatherer, group_of, places }
     }
 
     pub fn field(&self, lights: LightField) -> Field {
-        Field { sides: self.blockers.sides(&lights), lights }
+        let free = self.places.iter().map(|_| OnceLock::new()).collect();
+        Field { sides: self.blockers.sides(&lights), lights, free }
+    }
+
+    /// Of each node of a field whether nothing stands between it and a group.
+    fn free<'f>(&self, field: &'f Field, group: u32) -> &'f [bool] {
+        let find = || self.blockers.free(&field.lights, &field.sides, &self.places[group as usize]);
+        field.free[group as usize].get_or_init(find)
     }
 
     /// Group of a patch.
@@ -101,44 +115,25 @@ impl<'a> Surroundings<'a> {
     pub fn point(&self, patch: u32, position: Vec3, normal: Vec3, (sum, count): (Vec3, f32)) -> Point {
         let inset = (sum / count - position) * INSET;
         let patch = &self.mesh.patches[patch as usize];
-        let gloss = self.finish.and_then(|f| Some((f.eye, f.gloss.get(patch.face as usize)?.as_ref()?)));
-        let lobe = gloss.and_then(|(eye, g)| Lobe::new(g, patch.reflectance, position, normal, eye));
+        let lobe = self.finish.and_then(|f| f.lobe(patch, position, normal));
         Point { position: position + inset + normal * OFFSET_M, normal, lobe }
     }
 
-    /// Points by group, each with its index.
-    fn by_group(points: &[(u32, Point)]) -> Vec<Vec<usize>> {
-        let mut order: Vec<usize> = (0..points.len()).collect();
-        order.sort_by_key(|&i| points[i].0);
-        order.chunk_by(|&a, &b| points[a].0 == points[b].0).map(<[usize]>::to_vec).collect()
-    }
-
-    /// What each light of a field (in the order of its leaves) sends to all points together: luminance × weight.
-    pub fn received(
-        &self,
-        field: &Field,
-        points: &[(u32, Point)],
-        weights: &[f64],
-        tolerance: f64,
-    ) -> Vec<f64> {
-        let mut received = vec![0.0; field.lights.lights.len()];
-        for groups in Self::by_group(points).chunks(BATCH) {
-            let parts: Vec<Vec<(usize, f64)>> = groups
-                .par_iter()
-                .map(|group| {
-                    let places: Vec<Vec3> = group.iter().map(|&i| points[i].1.position).collect();
-                    let free = self.blockers.free(&field.lights, &field.sides, &places);
-                    let (mut sent, mut part) = (Vec::new(), Vec::new());
-                    for &i in group {
-                        let point = &points[i].1;
-                        let about = self.gatherer.about(&field.lights, &free, point, &mut sent);
-                        let fineness = Fineness { most: tolerance * about, coarse: false };
-                        self.gatherer.cut(&field.lights, &free, point, fineness, &mut sent);
-                        sets::by_light(&field.lights, &sent, |leaf, e| part.push((leaf, e * weights[i])));
-                    }
-                    part
-                })
-                .collect();
+    /// What each light of a field (in the order of its leaves) sends to some points together: luminance × weight. Rays to
+    /// few points take less time than to find out where none are needed.
+    pub fn received(&self, field: &LightField, points: &[(Point, f64)], tolerance: f64) -> Vec<f64> {
+        let free = vec![false; field.tree.nodes.len()];
+        let part = |sent: &mut Vec<Sent>, (point, weight): &(Point, f64)| {
+            let about = self.gatherer.about(field, &free, point, sent);
+            let fineness = Fineness { most: tolerance * about, coarse: false };
+            self.gatherer.cut(field, &free, point, fineness, sent);
+            let mut part = Vec::new();
+            sets::by_light(field, sent, |leaf, e| part.push((leaf, e * weight)));
+            part
+        };
+        let mut received = vec![0.0; field.lights.len()];
+        for points in points.chunks(BATCH) {
+            let parts: Vec<Vec<(usize, f64)>> = points.par_iter().map_init(Vec::new, part).collect();
             parts.iter().flatten().for_each(|&(leaf, e)| received[leaf] += e);
         }
         received
@@ -146,41 +141,28 @@ impl<'a> Surroundings<'a> {
 
     /// The rows of some points; `done` is called for each.
     pub fn rows(&self, lighting: &Lighting, points: &[(u32, Point)], done: &(impl Fn() + Sync)) -> Vec<Row> {
-        let parts: Vec<Vec<(usize, Row)>> = Self::by_group(points)
-            .par_iter()
-            .map(|group| {
-                let places: Vec<Vec3> = group.iter().map(|&i| points[i].1.position).collect();
-                let free =
-                    [lighting.set, lighting.rest].map(|f| self.blockers.free(&f.lights, &f.sides, &places));
-                let mut sent = [Vec::new(), Vec::new()];
-                group
-                    .iter()
-                    .map(|&i| {
-                        let row = self.row(lighting, &points[i].1, &free, &mut sent);
-                        done();
-                        (i, row)
-                    })
-                    .collect()
-            })
-            .collect();
-        let mut rows = vec![Row::default(); points.len()];
-        parts.into_iter().flatten().for_each(|(i, row)| rows[i] = row);
-        rows
+        let row = |sent: &mut [Vec<Sent>; 2], (group, point): &(u32, Point)| {
+            let free = [lighting.set, lighting.rest].map(|f| self.free(f, *group));
+            let row = self.row(lighting, point, free, sent);
+            done();
+            row
+        };
+        points.par_iter().map_init(Default::default, row).collect()
     }
 
-    fn row(&self, lighting: &Lighting, p: &Point, free: &[Vec<bool>; 2], sent: &mut [Vec<Sent>; 2]) -> Row {
+    fn row(&self, lighting: &Lighting, p: &Point, free: [&[bool]; 2], sent: &mut [Vec<Sent>; 2]) -> Row {
         let fields = [lighting.set, lighting.rest];
         let mut about = 0.0;
         if lighting.tolerance > 0.0 {
             for k in 0..2 {
-                about += self.gatherer.about(&fields[k].lights, &free[k], p, &mut sent[k]);
+                about += self.gatherer.about(&fields[k].lights, free[k], p, &mut sent[k]);
             }
         }
         // How a far cluster's light parts may be wrong by twice what it sends.
         let fineness = Fineness { most: lighting.tolerance / 2.0 * about, coarse: false };
         let mut sums = [[0.0f64; 3]; 2];
         for k in 0..2 {
-            self.gatherer.cut(&fields[k].lights, &free[k], p, fineness, &mut sent[k]);
+            self.gatherer.cut(&fields[k].lights, free[k], p, fineness, &mut sent[k]);
             for s in &sent[k] {
                 (0..3).for_each(|c| sums[k][c] += f64::from(s.irradiance[c]));
             }

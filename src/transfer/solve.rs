@@ -1,6 +1,6 @@
 //! From lights and what the plate sees to transfers: sets, trees, sparse rows, refinement, shafts.
 
-use super::field::{LightField, Point};
+use super::field::LightField;
 use super::lights::Light;
 use super::links::Links;
 use super::refine::{Limits, refine};
@@ -55,18 +55,16 @@ pub fn solve_glossy(
         return Err(Problem::NoReceiver { patches: mesh.patches.len() });
     }
     let mut receiver_mesh = ReceiverMesh::new(mesh, receivers.seen.clone());
-    let bvh = Bvh::new(&mesh.vertices, &mesh.triangles());
+    let bvh = Bvh::new(&mesh.vertices, &mesh.outlined());
     let surroundings = Surroundings::new(mesh, finish, &receiver_mesh, &bvh, settings.rays as u32);
     let points = vertex_points(&receiver_mesh, &surroundings);
     let areas = receiver_mesh.vertex_areas();
     let area: f64 = areas.iter().sum();
 
-    let all = surroundings.field(LightField::new(&Light::all(light)));
-    let lights = &all.lights.lights;
-    let chosen = sets::sample(&areas, SAMPLES);
-    let sample: Vec<(u32, Point)> = chosen.iter().map(|c| points[c.0]).collect();
-    let weights: Vec<f64> = chosen.iter().map(|c| c.1).collect();
-    let received = surroundings.received(&all, &sample, &weights, SAMPLE_TOLERANCE);
+    let all = LightField::new(&Light::all(light));
+    let lights = &all.lights;
+    let sample = sets::sample(&areas, SAMPLES).into_iter().map(|(v, weight)| (points[v].1, weight));
+    let received = surroundings.received(&all, &sample.collect::<Vec<_>>(), SAMPLE_TOLERANCE);
     let total: f64 = received.iter().sum();
     if total <= 0.0 {
         return Err(Problem::NoLight { sources: mesh.patches.len() + light.distant.len() });
@@ -98,11 +96,10 @@ pub fn solve_glossy(
     };
     let mut rows = surroundings.rows(&lighting, &points, &advance);
     if settings.receiver_tolerance > 0.0 {
-        let pixels = receivers.pixel_sizes(&receiver_mesh.patches);
         let limits = Limits {
             tolerance: settings.receiver_tolerance,
             vertices: settings.receiver_vertices,
-            pixels: &pixels,
+            plate: &receivers.pixels,
         };
         refine(&mut receiver_mesh, &mut rows, &surroundings, &lighting, &limits, &advance);
     }

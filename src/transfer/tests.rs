@@ -258,7 +258,7 @@ fn interpolated(transfers: &Transfers, patch: u32, weights: [f32; 3]) -> Option<
 fn receivers_are_split_along_shadows_and_know_them_better() {
     let light = room(0.35);
     let coarse = solved(&light, &Transfer { receiver_tolerance: 0.0, ..all() });
-    let fine = solved(&light, &Transfer { receiver_tolerance: 0.05, ..all() });
+    let fine = solved(&light, &all());
     assert!(fine.receivers.positions.len() > coarse.receivers.positions.len() + 50);
     let capped = Transfer { receiver_vertices: coarse.receivers.positions.len() + 40, ..all() };
     let capped = solved(&light, &capped).receivers.positions.len();

@@ -54,6 +54,7 @@ impl Stage {
             transfers: &self.transfers,
             receivers: &self.receivers,
             plate: &self.plate,
+            finish: None,
             stored: None,
         }
     }

@@ -1,6 +1,7 @@
 //! An object under an environment, and its pictures by many lights and by few.
 
 use crate::camera::Camera;
+use crate::illuminate::distant::Stratum;
 use crate::illuminate::patch::DistantSource;
 use crate::image::{Image, Radiance, RadianceImage};
 use crate::render::{Environment, Object, Scene, visible};
@@ -17,8 +18,8 @@ use std::time::Instant;
 const SIZE: [u32; 2] = [1280, 800];
 /// Side of a shadow map, texels.
 const MAP_PX: usize = 512;
-/// Lights whose maps are held at a time.
-const BATCH: usize = 50;
+/// Lights whose maps are held at a time; no more than bits of a mask.
+const BATCH: usize = 64;
 
 /// What the object is made of: grey.
 pub struct Material {
@@ -104,12 +105,19 @@ impl Subject {
     }
 
     /// Additive pictures by many lights, one a material.
-    pub fn references(&self, lights: &[DistantSource]) -> Vec<RadianceImage> {
+    pub fn references(&self, lights: &[Stratum]) -> Vec<RadianceImage> {
         let mut sums = vec![vec![[0.0f32; 3]; self.surfaces.pixels().len()]; MATERIALS.len()];
         for batch in lights.chunks(BATCH) {
-            let (lights, casters) = self.draw(batch);
+            let (lights, casters) = self.draw(batch, Light::as_point);
+            // Looked up once for all materials.
+            let mask = |surface: &Option<Surface>| {
+                let Some(surface) = surface else { return 0 };
+                let hidden = |i: &usize| casters.hide(*i, surface, lights[*i].seen_from(surface.position).0);
+                (0..lights.len()).filter(hidden).fold(0u64, |mask, i| mask | 1 << i)
+            };
+            let hidden: Vec<u64> = self.surfaces.pixels().par_iter().map(mask).collect();
             for (sum, material) in sums.iter_mut().zip(&MATERIALS) {
-                let part = self.added(&lights, &casters, material);
+                let part = self.added(&lights, material, |pixel, i, _| hidden[pixel] >> i & 1 == 1);
                 sum.iter_mut().zip(part).for_each(|(s, p)| (0..3).for_each(|k| s[k] += p[k]));
             }
         }
@@ -117,34 +125,33 @@ impl Subject {
     }
 
     /// The picture light by light.
-    pub fn additive(&self, lights: &[DistantSource], material: usize) -> Shot {
+    pub fn additive(&self, lights: &[Stratum], material: usize) -> Shot {
         let started = Instant::now();
-        let (lights, casters) = self.draw(lights);
-        let picture = self.picture(self.added(&lights, &casters, &MATERIALS[material]));
+        let (lights, casters) = self.draw(lights, Light::as_point);
+        let picture = self.added(&lights, &MATERIALS[material], |pixel, i, direction| {
+            self.surfaces.pixels()[pixel].is_some_and(|surface| casters.hide(i, &surface, direction))
+        });
+        let picture = self.picture(picture);
         Shot { picture, ms: started.elapsed().as_secs_f64() * 1e3 }
     }
 
     /// What does not depend on the number of shadow-casting lights.
-    pub fn unshadowed(
-        &self,
-        environment: &Environment,
-        material: usize,
-        many: &[DistantSource],
-    ) -> Unshadowed {
-        Unshadowed::new(environment, MATERIALS[material].brdf, self.viewer, many)
+    pub fn unshadowed(&self, environment: &Environment, material: usize, many: &[Stratum]) -> Unshadowed {
+        let many: Vec<DistantSource> = many.iter().map(|stratum| stratum.source).collect();
+        Unshadowed::new(environment, MATERIALS[material].brdf, self.viewer, &many)
     }
 
     /// Unshadowed light less the shadow buffer, one sample in `side`² pixels.
     pub fn subtractive(
         &self,
-        lights: &[DistantSource],
+        lights: &[Stratum],
         unshadowed: &Unshadowed,
         material: usize,
         side: usize,
     ) -> Shot {
         let started = Instant::now();
         let material = &MATERIALS[material];
-        let (lights, casters) = self.draw(lights);
+        let (lights, casters) = self.draw(lights, |light| light);
         let find = |surfaces: &[Surface]| -> Vec<[f32; 6]> {
             let hidden = |surface: &Surface| {
                 let share =
@@ -167,19 +174,25 @@ impl Subject {
         Shot { picture: self.picture(pixels), ms: started.elapsed().as_secs_f64() * 1e3 }
     }
 
-    fn draw(&self, lights: &[DistantSource]) -> (Vec<Light>, Casters) {
-        let lights: Vec<Light> = lights.iter().map(Light::distant).collect();
-        let casters = Casters::draw(&lights, &self.occluder, MAP_PX);
+    fn draw(&self, lights: &[Stratum], of: fn(Light) -> Light) -> (Vec<Light>, Casters) {
+        let lights: Vec<Light> = lights.iter().map(|stratum| of(Light::of_stratum(stratum))).collect();
+        let casters = Casters::on_itself(&lights, &self.occluder, MAP_PX);
         (lights, casters)
     }
 
-    fn added(&self, lights: &[Light], casters: &Casters, material: &Material) -> Vec<[f32; 3]> {
-        let shade = |surface: &Option<Surface>| {
+    /// Radiance by pixel of the lights that are not hidden from a pixel, by index and direction of a light.
+    fn added(
+        &self,
+        lights: &[Light],
+        material: &Material,
+        hidden: impl Fn(usize, usize, Vec3) -> bool + Sync,
+    ) -> Vec<[f32; 3]> {
+        let shade = |(pixel, surface): (usize, &Option<Surface>)| {
             let Some(surface) = surface else { return [0.0; 3] };
-            let share = |i, direction| if casters.hide(i, surface, direction) { [0.0; 3] } else { [1.0; 3] };
+            let share = |i, direction| if hidden(pixel, i, direction) { [0.0; 3] } else { [1.0; 3] };
             material.reflect(&gather(surface, Some(material.brdf), lights, 0..lights.len(), share))
         };
-        self.surfaces.pixels().par_iter().map(shade).collect()
+        self.surfaces.pixels().par_iter().enumerate().map(shade).collect()
     }
 
     fn picture(&self, pixels: Vec<[f32; 3]>) -> RadianceImage {
