@@ -132,7 +132,7 @@ impl Room {
 
     fn scene(&self) -> Scene<'_> {
         let Lobby { light, receivers, plate, .. } = &self.lobby;
-        Scene { light, transfers: &self.transfers, receivers, plate, stored: None }
+        Scene { light, transfers: &self.transfers, receivers, plate, finish: None, stored: None }
     }
 }
 

@@ -289,7 +289,7 @@ impl<'a> RadianceTransfer<'a> {
             let mut everywhere = vec![[0.0f32; 3]; tile.vertices.len()];
             self.masks(batch, tile, maps, |corners, whole, masks| {
                 if let Some(ldr) = &self.ldr {
-                    let numbered = tile.vectors.clone().zip(vectors).zip(&*masks).zip(&mut sums);
+                    let numbered = tile.vectors.clone().zip(vectors).zip(masks).zip(&mut sums);
                     for (((number, vector), mask), sum) in numbered {
                         let gone = vector.interpolate(corners, *mask + f32x8::splat(whole));
                         (0..3).for_each(|c| sum[c] += ldr.pass(number, c, gone[c]));
