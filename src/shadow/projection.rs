@@ -1,6 +1,7 @@
 //! Where shadow maps look from, and how they project.
 
 use super::Occluder;
+use crate::visibility::Bvh;
 use glam::{DMat4, DVec3, DVec4, Mat4, Vec2, Vec3, Vec4};
 
 /// Bounding box and sphere of an occluder.
@@ -49,6 +50,16 @@ pub enum ShadowOrigin {
     Point(Vec3),
     /// A unit direction towards distant light.
     Direction(Vec3),
+}
+
+impl ShadowOrigin {
+    /// Whether something stands between it and a position that lies off its surface.
+    pub fn hidden_by(&self, bvh: &Bvh, position: Vec3) -> bool {
+        match *self {
+            Self::Point(origin) => bvh.occluded(position, origin),
+            Self::Direction(direction) => bvh.any_hit(position, direction, 0.0, f32::INFINITY),
+        }
+    }
 }
 
 /// World to shadow map.

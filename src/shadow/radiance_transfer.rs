@@ -428,10 +428,11 @@ impl Rays {
     /// Whether the occluder stands between a receiver and an origin that is too near for a map.
     fn blocked(&self, origin: &ShadowOrigin, position: Vec3, normal: Vec3) -> bool {
         let from = position + normal * 1e-4;
-        match *origin {
-            ShadowOrigin::Point(p) => self.bounds.near_segment(from, p, 0.0) && self.bvh.occluded(from, p),
-            ShadowOrigin::Direction(d) => self.bvh.any_hit(from, d, 0.0, f32::INFINITY),
-        }
+        let near = match *origin {
+            ShadowOrigin::Point(p) => self.bounds.near_segment(from, p, 0.0),
+            ShadowOrigin::Direction(_) => true,
+        };
+        near && origin.hidden_by(&self.bvh, from)
     }
 
     /// What a few rays say of a tile: an origin at the object sees it large, with few edges.

@@ -1,7 +1,7 @@
 //! A shadow map of the object for each light (decoro2008, §2 step 2b; the paper has shadow volumes).
 
 use super::{Light, Surface};
-use crate::shadow::{Bounds, MapPlan, Occluder, ShadowMap, ShadowOrigin, rasterise};
+use crate::shadow::{Bounds, MapPlan, Occluder, ShadowMap, rasterise};
 use crate::visibility::Bvh;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -53,13 +53,10 @@ impl Casters {
             return false;
         }
         let from = surface.position + surface.face_normal * self.lift_m;
-        match (&self.maps[light], &self.rays, self.plans[light].origin) {
-            (Some(map), ..) => map.blocked(from, surface.face_normal),
-            (None, Some(object), ShadowOrigin::Point(origin)) => object.occluded(from, origin),
-            (None, Some(object), ShadowOrigin::Direction(direction)) => {
-                object.any_hit(from, direction, 0.0, f32::INFINITY)
-            }
-            (None, None, _) => false,
+        match (&self.maps[light], &self.rays) {
+            (Some(map), _) => map.blocked(from, surface.face_normal),
+            (None, Some(object)) => self.plans[light].origin.hidden_by(object, from),
+            (None, None) => false,
         }
     }
 }

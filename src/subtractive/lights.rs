@@ -134,10 +134,7 @@ impl Light {
 
     /// Whether a scene hides the light from a position that lies off its surfaces.
     pub fn hidden_by(&self, scene: &Bvh, position: Vec3) -> bool {
-        match self.origin {
-            ShadowOrigin::Point(origin) => scene.occluded(position, origin),
-            ShadowOrigin::Direction(direction) => scene.any_hit(position, direction, 0.0, f32::INFINITY),
-        }
+        self.origin.hidden_by(scene, position)
     }
 }
 

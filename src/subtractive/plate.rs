@@ -6,11 +6,10 @@
 use super::lights::lights_at;
 use super::{Casters, Detail, Light, Pace, ShadowBuffer, Surface, gather};
 use crate::config::Render;
-use crate::image::{Image, Radiance};
-use crate::shadow::{Bounds, Occluder, Problem, Removed, Scene};
+use crate::image::Image;
+use crate::shadow::{Bounds, Occluder, Prepared, Problem, Removed, Scene};
 use crate::visibility::Bvh;
 use glam::Vec3;
-use rayon::prelude::*;
 use std::time::Instant;
 
 /// The method `subtractive`, prepared for a scene.
@@ -18,10 +17,7 @@ pub struct Subtractive<'a> {
     scene: Scene<'a>,
     settings: Render,
     surfaces: Image<Option<Surface>>,
-    /// Irradiance of the empty scene by pixel, plate units.
-    irradiance: Vec<[f32; 3]>,
-    /// Number of pixels that see a surface.
-    seen: usize,
+    prepared: Prepared,
     model: Bvh,
     pace: Pace,
 }
@@ -32,25 +28,13 @@ const OFFSET_M: f32 = 1e-4;
 impl<'a> Subtractive<'a> {
     /// What stays when the object moves.
     pub fn prepare(scene: &Scene<'a>, settings: &Render) -> Result<Self, Problem> {
-        scene.check()?;
         check(settings)?;
-        let mesh = &scene.light.mesh;
-        let surfaces = Surface::of_receivers(scene.receivers);
-        let irradiance = scene.receivers.pixels.pixels().par_iter().map(|receiver| {
-            let Some(receiver) = receiver else { return Ok([0.0; 3]) };
-            scene.transfers.irradiance_on(receiver).ok_or_else(|| Problem::Mismatch {
-                what: "patch seen by the plate",
-                found: format!("patch {} has no transfers", receiver.patch),
-                expected: format!("one of {} receiver patches", scene.transfers.receivers.patches.len()),
-            })
-        });
         Ok(Self {
             scene: *scene,
             settings: settings.clone(),
-            irradiance: irradiance.collect::<Result<_, _>>()?,
-            seen: surfaces.pixels().iter().flatten().count(),
-            surfaces,
-            model: Bvh::new(&mesh.vertices, &mesh.triangles()),
+            prepared: Prepared::new(scene, settings)?,
+            surfaces: Surface::of_receivers(scene.receivers),
+            model: Bvh::new(&scene.light.mesh.vertices, &scene.light.mesh.triangles()),
             pace: Pace::default(),
         })
     }
@@ -61,7 +45,7 @@ impl<'a> Subtractive<'a> {
         let started = Instant::now();
         let wanted = Detail::of(&self.settings);
         let detail = match self.settings.frame_ms {
-            ms if ms > 0.0 => self.pace.choose(ms * 1e-3, wanted, self.seen),
+            ms if ms > 0.0 => self.pace.choose(ms * 1e-3, wanted, self.prepared.pixels.len()),
             _ => wanted,
         };
         let place = Bounds::of(occluder).centre;
@@ -76,16 +60,12 @@ impl<'a> Subtractive<'a> {
         let buffer = ShadowBuffer::fill(&self.surfaces, detail.side, find);
         marks.push(started.elapsed());
         let gone = buffer.resample(&self.surfaces, find);
-        let (plate, (width, height)) = (self.scene.plate, self.scene.plate.size());
-        let share = |gone: f32, all: f32| if all > 0.0 { (gone / all).clamp(0.0, 1.0) } else { 0.0 };
-        let pixels = plate.pixels().iter().zip(gone.pixels()).zip(&self.irradiance);
-        let epsilon = pixels.map(|((plate, gone), all)| {
-            Radiance([0, 1, 2].map(|k| plate.0[k].max(0.0) * share(gone[k], all[k])))
-        });
-        let epsilon = Image::from_pixels(width, height, epsilon.collect());
+        let blocked: Vec<[f32; 3]> =
+            self.prepared.pixels.iter().map(|p| gone.pixels()[p.index as usize]).collect();
+        let epsilon = self.prepared.epsilon(self.scene.plate, &blocked);
         let [before, drawn, found] = [0, 1, 2].map(|i| marks[i].as_secs_f64());
         let rest = before + started.elapsed().as_secs_f64() - found;
-        self.pace.learn(detail, self.seen, [rest, drawn - before, found - drawn]);
+        self.pace.learn(detail, self.prepared.pixels.len(), [rest, drawn - before, found - drawn]);
         Ok(Removed {
             epsilon,
             codes: None,
@@ -128,9 +108,6 @@ fn check(settings: &Render) -> Result<(), Problem> {
     let pixels = settings.pixels_per_sample;
     if settings.lights == 0 {
         return refuse("lights", settings.lights, "1 or more");
-    }
-    if !(16..=8192).contains(&settings.shadow_map_px) {
-        return refuse("shadow_map_px", settings.shadow_map_px, "between 16 and 8192");
     }
     if ![1, 4, 16, 64, 256, 1024].contains(&pixels) {
         return refuse("pixels_per_sample", pixels, "1, 4, 16, 64, 256 or 1024");
