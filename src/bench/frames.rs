@@ -5,8 +5,7 @@ use crate::composite::{composite, net};
 use crate::config::{Backend, Render, ShadowMethod};
 use crate::error::{Context as _, Error, Result};
 use crate::printer::Printer;
-use crate::render::{Object, Set, Shaded};
-use crate::shadow::{Caster, Removed, Session};
+use crate::render::Frames;
 use crate::stage::Workspace;
 use glam::{Affine3A, Vec3};
 use std::time::Instant;
@@ -14,7 +13,7 @@ use std::time::Instant;
 /// Prints a row for each back end; one that is not there says why.
 pub(super) fn print(statics: &Static, workspace: &Workspace, frames: usize, printer: &Printer) -> Result<()> {
     printer.data(&format!(
-        "\nframe: {} sources, {} of {} px receive, {} triangles cast; shadow maps {} px; {frames} frames",
+        "\nframe: {} sources, {} of {} px receive, object of {} triangles; shadow maps {} px; {frames} frames",
         statics.transfers.sources.len(),
         statics.receivers.pixels.pixels().iter().flatten().count(),
         statics.receivers.pixels.pixels().len(),
@@ -22,8 +21,8 @@ pub(super) fn print(statics: &Static, workspace: &Workspace, frames: usize, prin
         workspace.pipeline.render.shadow_map_px,
     ));
     printer.data(&format!(
-        "{:<8}{:>10}{:>10}{:>10}{:>10}{:>12}{:>12}",
-        "backend", "prepare", "shadow", "min", "max", "object", "composite"
+        "{:<8}{:>10}{:>10}{:>10}{:>10}{:>10}{:>12}{:>12}",
+        "backend", "casting", "prepare", "shadow", "min", "max", "object", "composite"
     ));
     for backend in [Backend::Cpu, Backend::Gpu] {
         match time(statics, workspace, backend, frames) {
@@ -36,34 +35,26 @@ pub(super) fn print(statics: &Static, workspace: &Workspace, frames: usize, prin
 }
 
 fn time(statics: &Static, workspace: &Workspace, backend: Backend, frames: usize) -> Result<String> {
-    let settings = &workspace.pipeline.render;
-    let scene = statics.scene();
-    let started = Instant::now();
     let method = ShadowMethod::RadianceTransfer;
-    let settings = Render { method, backend, ..settings.clone() };
-    let mut session = Session::prepare(&scene, &settings).doing("preparing the shadow method")?;
-    let caster = Caster::of(&statics.occluder(), &settings);
+    let settings = Render { method, backend, ..workspace.pipeline.render.clone() };
+    let started = Instant::now();
+    let mut moving =
+        Frames::prepare(&statics.scene(), statics.set(&settings), &statics.object, &statics.faces)?;
     let prepare = started.elapsed();
     let (mut shadow_ms, mut object_ms, mut composite_ms) = (Vec::new(), Vec::new(), Vec::new());
-    for frame in 0..=frames {
-        let angle = frame as f32 * 0.7;
+    for i in 0..=frames {
+        let angle = i as f32 * 0.7;
         let motion = Affine3A::from_translation(Vec3::new(angle.cos(), 0.0, angle.sin()) * 0.02);
-        let (moved, caster) = (statics.object.moved(&motion), caster.moved(&motion));
+        let frame = moving.of_path(i, &motion)?;
         let started = Instant::now();
-        let removed = session.frame(&caster.occluder).doing("finding the shadow")?.removed;
-        let shadow_time = started.elapsed();
-        let started = Instant::now();
-        let shaded = shade(statics, &moved, &removed, workspace);
-        let object_time = started.elapsed();
-        let started = Instant::now();
-        let composite = net(&removed.epsilon, &shaded.reflected)
-            .and_then(|net| composite(&statics.plate, &net, &shaded.rendered.layer));
+        let composite = net(&frame.removed.epsilon, &frame.shaded.reflected)
+            .and_then(|net| composite(&statics.plate, &net, &frame.shaded.rendered.layer));
         let composite_time = started.elapsed();
         std::hint::black_box(composite).doing("compositing")?;
         // The first frame warms caches and compiles pipelines.
-        if frame > 0 {
-            shadow_ms.push(shadow_time.as_secs_f64() * 1e3);
-            object_ms.push(object_time.as_secs_f64() * 1e3);
+        if i > 0 {
+            shadow_ms.push(frame.shadow_s * 1e3);
+            object_ms.push(frame.shade_s * 1e3);
             composite_ms.push(composite_time.as_secs_f64() * 1e3);
         }
     }
@@ -74,22 +65,8 @@ fn time(statics: &Static, workspace: &Workspace, backend: Backend, frames: usize
     let [shadow, least, largest] = spread(&mut shadow_ms);
     let ([object, ..], [composite, ..]) = (spread(&mut object_ms), spread(&mut composite_ms));
     Ok(format!(
-        "{name:<8}{:>10.1}{shadow:>10.1}{least:>10.1}{largest:>10.1}{object:>12.1}{composite:>12.1}",
+        "{name:<8}{:>10}{:>10.1}{shadow:>10.1}{least:>10.1}{largest:>10.1}{object:>12.1}{composite:>12.1}",
+        moving.caster().occluder.triangles.len(),
         prepare.as_secs_f64() * 1e3,
     ))
-}
-
-fn shade(statics: &Static, object: &Object, removed: &Removed, workspace: &Workspace) -> Shaded {
-    let set = Set {
-        camera: statics.cameras.plate_camera(),
-        plate: &statics.plate,
-        light: &statics.light,
-        light_bvh: &statics.light_bvh,
-        volume: &statics.volume,
-        scene_bvh: &statics.scene_bvh,
-        receivers: &statics.receivers,
-        transfers: &statics.transfers,
-        settings: &workspace.pipeline.render,
-    };
-    set.shade(object, &removed.epsilon)
 }

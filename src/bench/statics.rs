@@ -2,16 +2,18 @@
 
 use crate::artefact::{exr, json};
 use crate::calibrate::Cameras;
+use crate::config::Render;
 use crate::error::Result;
 use crate::illuminate;
 use crate::image::RadianceImage;
 use crate::irradiance::Volume;
 use crate::model::{Scene, face};
-use crate::render::{self, Object};
+use crate::render::{self, Object, Set};
 use crate::shadow::{self, Occluder, Receivers};
 use crate::stage::Workspace;
 use crate::transfer::{Finish, Transfers};
 use crate::visibility::Bvh;
+use glam::Vec3;
 
 /// The artefacts that a frame needs, and the object where the settings put it.
 pub(super) struct Static {
@@ -24,6 +26,8 @@ pub(super) struct Static {
     pub scene_bvh: Bvh,
     pub light_bvh: Bvh,
     pub object: Object,
+    /// Corners of the scene model's faces, m.
+    pub faces: Vec<Vec3>,
     /// By face of the scene.
     gloss: Vec<Option<face::Gloss>>,
 }
@@ -45,6 +49,7 @@ impl Static {
             light_bvh: Bvh::new(&light.mesh.vertices, &light.mesh.triangles()),
             object: render::load_object(&workspace.base.join(&settings.object), settings)?,
             gloss: scene.faces.iter().map(|f| f.gloss).collect(),
+            faces: faces.vertices,
             cameras,
             light,
         })
@@ -58,6 +63,21 @@ impl Static {
             plate: &self.plate,
             finish: Finish::new(self.cameras.plate_camera(), &self.gloss),
             stored: None,
+        }
+    }
+
+    /// What shades the object.
+    pub fn set<'a>(&'a self, settings: &'a Render) -> Set<'a> {
+        Set {
+            camera: self.cameras.plate_camera(),
+            plate: &self.plate,
+            light: &self.light,
+            light_bvh: &self.light_bvh,
+            volume: &self.volume,
+            scene_bvh: &self.scene_bvh,
+            receivers: &self.receivers,
+            transfers: &self.transfers,
+            settings,
         }
     }
 
