@@ -7,8 +7,9 @@ use insitu::config::{Render, ShadowMethod, Transfer};
 use insitu::illuminate::patch::{DistantSource, LightModel};
 use insitu::image::RadianceImage;
 use insitu::model::face::Gloss;
-use insitu::shadow::{Occluder, Problem, RadianceTransfer, Session, removed_radiance};
-use insitu::transfer::{Finish, solve_glossy};
+use insitu::shadow::{Occluder, Problem, RadianceTransfer, Scene, Session, removed_radiance};
+use insitu::synthetic::{Lobby, lobby_of};
+use insitu::transfer::{Finish, solve, solve_glossy};
 use room::{Stage, blob, camera, cuboid, errors, stage};
 
 fn at(x: f32, y: f32, z: f32) -> Vec3 {
@@ -46,6 +47,27 @@ fn radiance_transfer_agrees_with_the_reference() {
                 "{name}, {passes} passes: {error}, {expected} expected"
             );
             assert!(bias.abs() <= 0.01, "{name}, {passes} passes: bias {bias}");
+        }
+    }
+}
+
+#[test]
+fn ten_passes_keep_the_energy_beside_lit_furniture() {
+    let Lobby { light, receivers, plate, .. } = Lobby::new(lobby_of(2000), 160);
+    let settings = Transfer { source_share: 0.98, ..Default::default() };
+    let transfers = &solve(&light, &receivers, &settings, || {}).unwrap();
+    let (receivers, light, plate) = (&receivers, &light, &plate);
+    let scene = Scene { light, transfers, receivers, plate, finish: None, stored: None };
+    // At the foot of a pillar, and in the open.
+    for place in [[0.0, -0.6], [0.3, 0.6]] {
+        let object = Lobby::object(place, 0.0);
+        let removed =
+            |passes| removed_radiance(&scene, &object, &Render { passes, ..Default::default() }).unwrap();
+        let all = removed(0);
+        for passes in [10, 20] {
+            let (error, bias) = errors(plate, &removed(passes).epsilon, &all.epsilon);
+            println!("{place:?}, {passes} passes: error {error:.4}, bias {bias:+.4}");
+            assert!(error < 0.08 && bias.abs() <= 0.01, "{place:?}, {passes} passes: {error}, {bias}");
         }
     }
 }

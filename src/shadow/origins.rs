@@ -69,17 +69,15 @@ struct Stratum {
 
 /// A triangle's or a disc's standard deviation, times this, is about its width.
 const WIDTHS: f64 = 3.464;
+/// Few clusters are cut into at least so many strata: with 80 the energy of the shadow was off by up to 2 % in the test
+/// rooms, with 160 by less than 1 %.
+const LEAST: usize = 160;
 /// Below this root of the summed squared errors no stratum is cut: no pixel would show it.
 pub(crate) const FINE: f64 = 2e-3;
 
-/// What a hard shadow costs that takes a share of all light in place of a penumbra of some angular width, rad.
-pub(crate) fn squared_error(share: f64, width: f64) -> f64 {
-    share * share * width * (1.0 + width * width).powi(2)
-}
-
 impl Stratum {
     fn cost(&self) -> f64 {
-        squared_error(self.share, self.width)
+        self.share * self.share * self.width * (1.0 + self.width * self.width).powi(2)
     }
 }
 
@@ -105,7 +103,7 @@ impl Eq for Stratum {}
 
 impl Strata<'_> {
     /// Origins of clusters (nodes of the tree), by cluster: one each, and more where they save most until there are
-    /// `most`. With no more than one a cluster they lie at the strongest source's centre, as in the paper.
+    /// `most`, or [`LEAST`]. With no more than one a cluster they lie at the strongest source's centre, as in the paper.
     pub fn origins(&self, clusters: &[u32], most: usize) -> Vec<Origin> {
         let total: f64 = clusters.iter().map(|&n| self.sum(n).lost).sum();
         if total <= 0.0 {
@@ -125,6 +123,7 @@ impl Strata<'_> {
             add(&mut queue, &mut left, stratum);
         }
         let paper = most <= clusters.len();
+        let most = if paper { most } else { most.max(LEAST) };
         while queue.len() < most && left > FINE * FINE {
             let Some(worst) = queue.pop() else { break };
             left -= worst.cost();

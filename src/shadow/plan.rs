@@ -1,7 +1,7 @@
 //! What one frame draws: clusters of sources, and the maps of each.
 
 use super::importance::seen;
-use super::origins::{FINE, Origin, Strata, squared_error};
+use super::origins::{FINE, Origin, Strata};
 use super::projection::{MapPlan, OFFSETS};
 use super::representatives::{Moments, Seen, representatives};
 use super::tiles::Prepared;
@@ -99,7 +99,7 @@ impl<'a> Outlook<'a> {
     /// Relative shadow error that hard shadows in the place of penumbrae cost (see [`super::origins`]), and what else
     /// there is.
     fn expected(&self, origins: &[Origin]) -> f64 {
-        let square: f64 = origins.iter().map(|o| squared_error(o.share, o.width)).sum();
+        let square: f64 = origins.iter().map(|o| o.share * o.share * o.width).sum();
         (square * self.distance).sqrt().hypot(REST)
     }
 
