@@ -120,6 +120,9 @@ impl<'a> PlateShadow<'a> {
         self.removed(self.prepared.epsilon(self.scene.plate, &blocked), textures)
     }
 
+    /// No error is expected in numbers: it is a bias (occlusion of different slices that is not independent, contact within
+    /// a slice, light that is no rectangle), the same for any two halves of the slices or texels, so that nothing here
+    /// differs by it. What is known is the share of light that is left out.
     pub(crate) fn removed(&self, epsilon: RadianceImage, textures: usize) -> Removed {
         Removed {
             epsilon,

@@ -70,11 +70,7 @@ impl<'a> Subtractive<'a> {
 
     /// What the next frame may spend.
     pub(crate) fn detail(&self) -> Detail {
-        let wanted = Detail::of(&self.settings);
-        match self.settings.frame_ms {
-            ms if ms > 0.0 => self.pace.choose(ms * 1e-3, wanted, self.prepared.pixels.len()),
-            _ => wanted,
-        }
+        Detail::chosen(&self.settings, &self.pace, self.prepared.pixels.len())
     }
 
     /// Takes note of what a frame took for all but maps and samples, for its maps, and for its samples, s.
@@ -166,6 +162,15 @@ impl Detail {
     /// What the settings ask for.
     pub fn of(settings: &Render) -> Self {
         Self { lights: settings.lights, side: settings.pixels_per_sample.isqrt() }
+    }
+
+    /// As much of it as the time that they give for a frame allows for so many pixels of plate or object: each has half.
+    pub(super) fn chosen(settings: &Render, pace: &Pace, pixels: usize) -> Self {
+        let wanted = Self::of(settings);
+        match settings.frame_ms {
+            ms if ms > 0.0 => pace.choose(ms * 0.5e-3, wanted, pixels),
+            _ => wanted,
+        }
     }
 }
 

@@ -133,3 +133,31 @@ object = "o.glb"
         ),
     ]);
 }
+
+#[test]
+fn light_without_a_rectangle_is_sent_to_another_method() {
+    let hint = "set render.method to \"radiance-transfer\", which takes light of any shape, or give rectangles as \
+                render.area_lights";
+    let refused = "preparing the shadow method: the scene has no rectangular light: # bright patches, of a rectangle's \
+                   shape to # at best";
+    let (cpu, gpu) = (
+        "[render]\nmethod = \"occlusion-textures\"\n",
+        "[render]\nmethod = \"occlusion-textures\"\nbackend = \"gpu\"\n",
+    );
+    check(&[
+        case("no rectangular light", &[EvenLight, Set(cpu)], "render", 1, refused, hint),
+        case("none on the graphics processor", &[EvenLight, Set(gpu)], "render", 1, refused, hint),
+        case(
+            "a given rectangle that is none",
+            &[Set(concat!(
+                "[render]\nmethod = \"occlusion-textures\"\narea_lights = [{ corner_m = [0, 0, 2], side_u_m = [1, 0, 0], ",
+                "side_v_m = [1, 0, 0], radiance = [1, 1, 1] }]\n"
+            ))],
+            "render",
+            1,
+            "preparing the shadow method: area light 0 of the settings has sides that are not at right angles",
+            "give a corner and two sides at right angles, in metres in the grid's frame, and the radiance where the model has \
+             no surface",
+        ),
+    ]);
+}
