@@ -100,14 +100,11 @@ pub(crate) fn render_object(
                 let open = irradiance(sample.position, sample.normal);
                 let gloss =
                     unshadowed[number].as_ref().map_or([0.0; 3], |u| u.gloss(sample.normal, -sample.view));
-                let sent = Sent {
-                    irradiance: [0, 1, 2].map(|k| {
-                        // One bounce: what sends it is about as hidden as what receives it.
-                        let bounce = open[k].max(0.0) * material.diffuse[k] * own * (1.0 - own);
-                        (open[k] - hidden.irradiance[k]).max(0.0) + bounce
-                    }),
-                    gloss: [0, 1, 2].map(|k| (gloss[k] - hidden.gloss[k]).max(0.0)),
-                };
+                let mut sent = Sent { irradiance: open, gloss }.less(&hidden);
+                for k in 0..3 {
+                    // One bounce: what sends it is about as hidden as what receives it.
+                    sent.irradiance[k] += open[k].max(0.0) * material.diffuse[k] * own * (1.0 - own);
+                }
                 reflected(material, lit.brdfs[number], &sent)
             })
         });

@@ -122,8 +122,9 @@ pub(crate) fn removed(
 
 /// Relative shadow error to expect, from ε and the difference of what its two halves of the lights hide (luminance, by
 /// pixel). Either half alone would, doubled, be a shadow of its own, and their mean, which is ε, lies half the difference
-/// of those from each. What lights and shadow buffer do alike everywhere (the buffer's blur, light seen from the object's
-/// middle only) is not in it.
+/// of those from each. It overestimates: errors of neighbouring strata cancel better than those of halves (tests see 1.5 to
+/// 4 times the true error). What lights and shadow buffer do alike everywhere (the buffer's blur, light seen from the
+/// object's middle only) is not in it.
 pub(crate) fn expected_error(pairs: impl Iterator<Item = [f32; 2]>) -> Option<f64> {
     let [signal, error] = pairs.fold([0.0f64; 2], |[s, e], [epsilon, difference]| {
         [s + f64::from(epsilon).powi(2), e + f64::from(difference).powi(2)]

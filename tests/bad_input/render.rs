@@ -1,7 +1,7 @@
 //! The object: stage `render`.
 
 use super::cases::{case, check};
-use super::spoil::Spoil::*;
+use super::spoil::Spoil::{self, *};
 
 #[test]
 fn objects_are_checked() {
@@ -136,17 +136,15 @@ object = "o.glb"
 
 #[test]
 fn light_without_a_rectangle_is_sent_to_another_method() {
+    const CPU: Spoil = Set("[render]\nmethod = \"occlusion-textures\"\n");
+    const GPU: Spoil = Set("[render]\nmethod = \"occlusion-textures\"\nbackend = \"gpu\"\n");
     let hint = "set render.method to \"radiance-transfer\", which takes light of any shape, or give rectangles as \
                 render.area_lights";
     let refused = "preparing the shadow method: the scene has no rectangular light: # bright patches, of a rectangle's \
                    shape to # at best";
-    let (cpu, gpu) = (
-        "[render]\nmethod = \"occlusion-textures\"\n",
-        "[render]\nmethod = \"occlusion-textures\"\nbackend = \"gpu\"\n",
-    );
     check(&[
-        case("no rectangular light", &[EvenLight, Set(cpu)], "render", 1, refused, hint),
-        case("none on the graphics processor", &[EvenLight, Set(gpu)], "render", 1, refused, hint),
+        case("no rectangular light", &[EvenLight, CPU], "render", 1, refused, hint),
+        case("none on the graphics processor", &[EvenLight, GPU], "render", 1, refused, hint),
         case(
             "a given rectangle that is none",
             &[Set(concat!(

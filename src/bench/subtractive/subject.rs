@@ -187,8 +187,7 @@ impl Subject {
                 irradiance: unshadowed.irradiance(surface.normal),
                 gloss: unshadowed.gloss(surface.normal, surface.viewer),
             };
-            let (open, hidden) = (material.reflect(&open), material.reflect(&Sent::from_array(*hidden)));
-            [0, 1, 2].map(|k| (open[k] - hidden[k]).max(0.0))
+            material.reflect(&open.less(&Sent::from_array(*hidden)))
         };
         let pixels = self.surfaces.pixels().par_iter().zip(buffer.pixels()).map(shade).collect();
         Shot { picture: self.picture(pixels), ms: started.elapsed().as_secs_f64() * 1e3 }
