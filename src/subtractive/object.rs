@@ -101,9 +101,10 @@ pub(crate) fn render_object(
                 let gloss =
                     unshadowed[number].as_ref().map_or([0.0; 3], |u| u.gloss(sample.normal, -sample.view));
                 let mut sent = Sent { irradiance: open, gloss }.less(&hidden);
-                for k in 0..3 {
+                let arriving = open.into_iter().zip(material.diffuse);
+                for (irradiance, (open, diffuse)) in sent.irradiance.iter_mut().zip(arriving) {
                     // One bounce: what sends it is about as hidden as what receives it.
-                    sent.irradiance[k] += open[k].max(0.0) * material.diffuse[k] * own * (1.0 - own);
+                    *irradiance += open.max(0.0) * diffuse * own * (1.0 - own);
                 }
                 reflected(material, lit.brdfs[number], &sent)
             })
