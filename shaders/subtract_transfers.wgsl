@@ -1,23 +1,8 @@
 // ε at each receiver pixel: Σ_j E_xj M_xj over a batch of shadow maps, as a share of all irradiance, times the plate.
 // The arithmetic is that of `ShadowMap::blocked`, `RadianceTransfer::add` and `Pixel::removed` in src/shadow.
-#import insitu::shadow_map_types::{Frame, ShadowMap}
-
-struct Receiver {
-    position: vec3<f32>,
-    vertex_a: u32,
-    normal: vec3<f32>,
-    vertex_b: u32,
-    weights: vec3<f32>,
-    vertex_c: u32,
-    across: vec3<f32>,     // one pixel to the right on the surface, m
-    padding_a: u32,
-    down: vec3<f32>,
-    padding_b: u32,
-    plate: vec3<f32>,      // radiance
-    padding_c: u32,
-    irradiance: vec3<f32>, // from all light
-    padding_d: u32,
-}
+#import insitu::shadow_map_types::Frame
+#import insitu::shadow_map_lookup::{maps, in_shadow, may_shadow}
+#import insitu::receiver::{Receiver, removed}
 
 // Neighbouring pixels, at most as many as a workgroup has invocations.
 struct Tile {
@@ -28,11 +13,9 @@ struct Tile {
     padding: vec2<u32>,
 }
 
-@group(0) @binding(0) var<uniform> frame: Frame;
-@group(0) @binding(1) var<storage, read> maps: array<ShadowMap>;
-@group(0) @binding(2) var<storage, read> rows: array<u32>;      // of transfers, by receiver vertex
-@group(0) @binding(3) var<storage, read> transfers: array<f32>; // [rows × clusters × 3], irradiance
-@group(0) @binding(4) var atlas: texture_depth_2d_array;
+@group(0) @binding(2) var<uniform> frame: Frame;
+@group(0) @binding(3) var<storage, read> rows: array<u32>;      // of transfers, by receiver vertex
+@group(0) @binding(4) var<storage, read> transfers: array<f32>; // [rows × clusters × 3], irradiance
 
 @group(1) @binding(0) var<storage, read> tiles: array<Tile>;
 @group(1) @binding(1) var<storage, read> affected: array<u32>;  // tile of each workgroup
@@ -40,46 +23,11 @@ struct Tile {
 @group(1) @binding(3) var<storage, read_write> blocked: array<vec4<f32>>;
 @group(1) @binding(4) var<storage, read_write> epsilon: array<vec4<f32>>;
 
-const DEPTH_BIAS: f32 = 5e-4;
-const STEEPEST: f32 = 16.0;
-const EMPTY: f32 = 1.0;
-
-// Whether the occluder lies before the receiver's plane in the texel onto which the receiver falls.
+// Whether the occluder hides a map's origin from the receiver, seen where in the pixel the map is looked up.
 fn mask(receiver: Receiver, map: u32) -> bool {
     let offset = maps[map].offset;
     let position = receiver.position + receiver.across * offset.x + receiver.down * offset.y;
-    let q = maps[map].map_from_world * vec4<f32>(position, 1.0);
-    if q.w <= 1e-6 {
-        return false;
-    }
-    let p = q.xyz / q.w;
-    let size = f32(maps[map].size);
-    if p.x < 0.0 || p.y < 0.0 || p.x >= size || p.y >= size || p.z <= 0.0 {
-        return false;
-    }
-    let texel = floor(p.xy);
-    let depth = textureLoad(atlas, vec2<i32>(texel) + vec2<i32>(maps[map].corner), maps[map].layer, 0);
-    if depth >= EMPTY {
-        return false;
-    }
-    let plane = maps[map].planes * vec4<f32>(receiver.normal, -dot(receiver.normal, position));
-    let limit = STEEPEST / size;
-    var slope = vec2<f32>(0.0);
-    if plane.z != 0.0 {
-        slope = clamp(-plane.xy / plane.z, vec2<f32>(-limit), vec2<f32>(limit));
-    }
-    return depth < p.z + dot(slope, texel + 0.5 - p.xy) - DEPTH_BIAS;
-}
-
-// Whether a map can shadow anything in a sphere: `MapPlan::may_shadow`.
-fn may_shadow(centre: vec3<f32>, radius: f32, map: u32) -> bool {
-    let reach = -radius * 1.001 - 1e-4;
-    for (var i = 0u; i < 5u; i++) {
-        if dot(maps[map].sides[i], vec4<f32>(centre, 1.0)) < reach {
-            return false;
-        }
-    }
-    return true;
+    return in_shadow(position, receiver.normal, map);
 }
 
 // Irradiance that a cluster sends to a receiver vertex.
@@ -151,7 +99,5 @@ fn subtract(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_i
         return;
     }
     blocked[pixel] = vec4<f32>(sum, 0.0);
-    let lit = receiver.irradiance > vec3<f32>(0.0);
-    let part = select(vec3<f32>(0.0), clamp(sum / receiver.irradiance, vec3<f32>(0.0), vec3<f32>(1.0)), lit);
-    epsilon[pixel] = vec4<f32>(max(receiver.plate, vec3<f32>(0.0)) * part, 0.0);
+    epsilon[pixel] = vec4<f32>(removed(receiver, sum), 0.0);
 }

@@ -289,10 +289,9 @@ pub enum ShadowMethod {
     RadianceTransfer,
     /// The same, subtracted from the stored codes in 8 bits (gibson §7.1); on the CPU whatever the back end.
     RadianceTransferLdr,
-    /// Lights of the environment at the object's place and a coarse shadow buffer (decoro2008); on the CPU whatever the
-    /// back end.
+    /// Lights of the environment at the object's place and a coarse shadow buffer (decoro2008).
     Subtractive,
-    /// Prefiltered slices before rectangular lights (eisemann2006); on the CPU whatever the back end.
+    /// Prefiltered slices before rectangular lights (eisemann2006).
     OcclusionTextures,
 }
 
@@ -355,6 +354,20 @@ pub enum LightSampling {
     MedianCut,
 }
 
+/// By what the method `subtractive` reflects the object's gloss.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Gloss {
+    /// GGX where the object's file has a roughness (glTF), else Phong.
+    ByFile,
+    /// Phong's lobe (Lafortune and Willems 1994), prefiltered.
+    Phong,
+    /// Torrance and Sparrow 1967, by a radiance cache.
+    TorranceSparrow,
+    /// Walter et al. 2007, by a radiance cache.
+    Ggx,
+}
+
 /// Where shadow maps are made and subtracted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -396,6 +409,10 @@ settings! {
         specular: [f32; 3] = [0.0; 3],
         /// Phong exponent.
         shininess: f32 = 50.0,
+        /// By what the method `subtractive` reflects gloss; all others take Phong's.
+        gloss: Gloss = Gloss::ByFile,
+        /// α of GGX, root mean square slope of Torrance and Sparrow's facets, where the file has none.
+        roughness: f32 = 0.2,
         /// Smooth normals across edges below this angle, where the file has none.
         smooth_deg: f64 = 60.0,
         /// Rays per pixel of the object by which it shadows and lights itself.
@@ -416,8 +433,8 @@ settings! {
         passes: usize = 50,
         /// Hard shadows (small shadow maps) of which each cluster's soft one is made, on average; 1 for the paper's one.
         origins: usize = 8,
-        /// Time for a frame, ms: no more passes (`subtractive`: lights and samples) than earlier frames say can be done in it;
-        /// 0 for any.
+        /// Time for a frame, ms: no more passes than earlier frames say can be done in it; 0 for any. `subtractive` spends half
+        /// of it on the plate's lights and samples, half on the object.
         frame_ms: f64 = 0.0,
         /// Relative shadow error: no more passes than it needs by estimate; 0 for as many as `passes` says.
         max_error: f64 = 0.0,

@@ -89,6 +89,9 @@ fn main() -> std::process::ExitCode {
     })
 }
 
+/// More light than this whose shadow is not sought is worth a word, as a share.
+const MOST_LEFT_OUT: f64 = 0.5;
+
 /// Figures and warnings of a frame.
 fn report(ctx: &Context, frame: &Frame) {
     let Frame { removed, shaded, .. } = frame;
@@ -97,6 +100,12 @@ fn report(ctx: &Context, frame: &Frame) {
     ctx.figure("passes", removed.passes);
     ctx.figure("shadow_maps", removed.shadow_maps);
     ctx.figure("left_out_share", removed.left_out_share);
+    if removed.left_out_share > MOST_LEFT_OUT {
+        ctx.warn(format!(
+            "the shadow of {:.0} % of the light is left out: render.method = \"radiance-transfer\" takes light of any shape",
+            100.0 * removed.left_out_share
+        ));
+    }
     if let Some(error) = removed.expected_error {
         ctx.figure("expected_shadow_error", error);
     }

@@ -4,7 +4,7 @@
 mod room;
 
 use glam::Vec3;
-use insitu::config::{Render, Transfer};
+use insitu::config::{Backend, Combination, OcclusionFilter, Render, ShadowMethod, Transfer};
 use insitu::gpu::{self, Budget, Difference};
 use insitu::illuminate::patch::{DistantSource, LightModel};
 use insitu::image::RadianceImage;
@@ -18,8 +18,12 @@ static SKIPPED: AtomicUsize = AtomicUsize::new(0);
 
 /// `None`, said aloud, where there is no adapter.
 fn gpu<'a>(stage: &'a Stage, settings: &Render, budget: Budget) -> Option<gpu::RadianceTransfer<'a>> {
-    match gpu::RadianceTransfer::prepare_within(&stage.scene(), settings, budget) {
-        Ok(gpu) => Some(gpu),
+    or_skipped(gpu::RadianceTransfer::prepare_within(&stage.scene(), settings, budget))
+}
+
+fn or_skipped<M>(prepared: Result<M, shadow::Problem>) -> Option<M> {
+    match prepared {
+        Ok(method) => Some(method),
         Err(e @ shadow::Problem::Gpu(gpu::Problem::NoAdapter(_))) => {
             assert!(std::env::var("INSITU_GPU").as_deref() != Ok("require"), "{e}");
             println!("skipped ({} checks so far): {e}", SKIPPED.fetch_add(1, Ordering::Relaxed) + 1);
@@ -202,6 +206,210 @@ fn distant_light_agrees() {
     let stage = Stage::new(light, &camera, &Transfer { source_share: 1.0, ..Default::default() });
     let object = blob(Vec3::new(0.0, 0.2, 0.0), 0.15, 0.1, 24);
     check(&stage, &object, &Render::default(), "distant light");
+}
+
+/// Gives ε, if there is an adapter.
+fn check_textures(
+    stage: &Stage,
+    object: &Occluder,
+    settings: &Render,
+    buffer_bytes: u64,
+    name: &str,
+) -> Option<RadianceImage> {
+    let scene = stage.scene();
+    let mut gpu = or_skipped(gpu::OcclusionTextures::prepare_within(&scene, settings, buffer_bytes))?;
+    let (found, difference) = gpu.parity(object).unwrap();
+    println!("{name} on {}: {} textures, {difference:?}", gpu.adapter(), found.shadow_maps);
+    assert!(difference.agrees(), "{name}: {difference:?}");
+    // A frame leaves nothing behind, and the session's is the same.
+    gpu.removed_radiance(&cuboid(Vec3::new(0.3, 0.5, -0.3), Vec3::splat(0.2))).unwrap();
+    assert_eq!(gpu.removed_radiance(object).unwrap(), found, "{name}, drawn again");
+    let settings =
+        Render { method: ShadowMethod::OcclusionTextures, backend: Backend::Gpu, ..settings.clone() };
+    let session = shadow::Session::prepare(&scene, &settings).unwrap().frame(object).unwrap();
+    assert_eq!(session.removed, found, "{name}, by a session");
+    Some(found.epsilon)
+}
+
+#[test]
+fn occlusion_textures_agree() {
+    let stage = stage(0.2, 96, 0.8);
+    let objects = [
+        ("blob", blob(Vec3::new(-0.3, 0.4, 0.1), 0.25, 0.2, 20)),
+        ("box on the floor", cuboid(Vec3::new(0.1, 0.12, 0.0), Vec3::new(0.10, 0.12, 0.08))),
+        ("object through the window", cuboid(Vec3::new(-2.0, 1.2, 0.0), Vec3::splat(0.3))),
+    ];
+    for (name, object) in &objects {
+        for occlusion_filter in OcclusionFilter::ALL {
+            let settings = Render { occlusion_filter, occlusion_px: 256, ..Default::default() };
+            let name = format!("{name}, {occlusion_filter:?}");
+            let found = check_textures(&stage, object, &settings, u64::MAX, &name);
+            assert!(found.is_none_or(|e| is_shadowed(&e)), "{name}");
+        }
+        for (combination, close_leaks) in Combination::ALL.into_iter().flat_map(|c| [(c, false), (c, true)]) {
+            let settings =
+                Render { combination, close_leaks, occlusion_px: 128, slices: 7, ..Default::default() };
+            let name = format!("{name}, {combination:?}, closed: {close_leaks}");
+            check_textures(&stage, object, &settings, u64::MAX, &name);
+        }
+    }
+}
+
+#[test]
+fn occlusion_textures_agree_however_little_the_device_holds() {
+    let stage = stage(0.2, 96, 0.8);
+    let object = blob(Vec3::new(-0.3, 0.4, 0.1), 0.25, 0.2, 20);
+    for occlusion_filter in OcclusionFilter::ALL {
+        // One layer of 64² texels a batch, or few; some tiles of pixels a block.
+        let settings = Render { occlusion_filter, occlusion_px: 64, ..Default::default() };
+        let within = |bytes| {
+            let scene = stage.scene();
+            let mut gpu = or_skipped(gpu::OcclusionTextures::prepare_within(&scene, &settings, bytes))?;
+            Some(gpu.removed_radiance(&object).unwrap())
+        };
+        let whole = within(u64::MAX);
+        for bytes in [7 * 4 * 64 * 64, 1 << 18] {
+            assert_eq!(within(bytes), whole, "{occlusion_filter:?} in {bytes} bytes");
+        }
+        let little = gpu::OcclusionTextures::prepare_within(&stage.scene(), &settings, 1 << 13);
+        match little.map(|_| ()) {
+            Err(shadow::Problem::Gpu(gpu::Problem::NoAdapter(e))) => println!("skipped: {e}"),
+            Err(e @ shadow::Problem::Gpu(gpu::Problem::Limit { .. })) => {
+                assert!(insitu::error::Problem::hint(&e).contains("render.occlusion_px"), "{e}");
+            }
+            other => panic!("{other:?}"),
+        }
+    }
+}
+
+/// Gives what is removed, if there is an adapter.
+fn check_lights(
+    stage: &Stage,
+    object: &Occluder,
+    settings: &Render,
+    budget: Budget,
+    name: &str,
+) -> Option<shadow::Removed> {
+    let scene = stage.scene();
+    let mut gpu = or_skipped(gpu::Subtractive::prepare_within(&scene, settings, budget))?;
+    let (found, difference) = gpu.parity(object).unwrap();
+    println!("{name} on {}: {} maps, {difference:?}", gpu.adapter(), found.shadow_maps);
+    assert!(difference.agrees(), "{name}: {difference:?}");
+    let settings = Render { method: ShadowMethod::Subtractive, ..settings.clone() };
+    let plain = shadow::removed_radiance(&scene, object, &settings).unwrap();
+    assert_eq!((found.shadow_maps, found.sources_used), (plain.shadow_maps, plain.sources_used), "{name}");
+    let [a, b] = [&found, &plain].map(|r| r.expected_error.unwrap_or(-1.0));
+    assert!((a - b).abs() <= 0.01 * b.abs(), "{name}: expected error {a}, on the CPU {b}");
+    // A frame leaves nothing behind, and the session's is the same.
+    gpu.removed_radiance(&cuboid(Vec3::new(0.3, 0.5, -0.3), Vec3::splat(0.2))).unwrap();
+    assert_eq!(gpu.removed_radiance(object).unwrap(), found, "{name}, drawn again");
+    let settings = Render { backend: Backend::Gpu, ..settings };
+    if budget.texels == Budget::default().texels {
+        let session = shadow::Session::prepare(&scene, &settings).unwrap().frame(object).unwrap();
+        assert_eq!(session.removed, found, "{name}, by a session");
+    }
+    Some(found)
+}
+
+#[test]
+fn subtractive_shadows_agree() {
+    let stage = stage(0.4, 96, 0.8);
+    let objects = [
+        ("blob", blob(Vec3::new(-0.3, 0.4, 0.1), 0.25, 0.2, 20)),
+        ("box on the floor", cuboid(Vec3::new(0.1, 0.12, 0.0), Vec3::new(0.10, 0.12, 0.08))),
+        ("object near a source", blob(Vec3::new(0.0, 2.45, 0.8), 0.14, 0.1, 12)),
+        ("object through the wall", cuboid(Vec3::new(-2.0, 1.2, 0.0), Vec3::splat(0.3))),
+    ];
+    for (name, object) in &objects {
+        for pixels_per_sample in [1, 4, 64, 1024] {
+            let settings = Render { pixels_per_sample, shadow_map_px: 128, lights: 60, ..Default::default() };
+            let name = format!("{name}, a sample in {pixels_per_sample} pixels");
+            check_lights(&stage, object, &settings, Budget::default(), &name);
+        }
+    }
+    let standing = check_lights(&stage, &objects[1].1, &Render::default(), Budget::default(), "by default");
+    assert!(standing.is_none_or(|r| is_shadowed(&r.epsilon)));
+}
+
+#[test]
+fn subtractive_shadows_agree_however_little_the_device_holds() {
+    let stage = stage(0.4, 96, 0.8);
+    let object = blob(Vec3::new(-0.3, 0.4, 0.1), 0.25, 0.2, 20);
+    for (budget, lights) in
+        [(Budget { texels: 1, ..Budget::default() }, 150), (Budget { texels: 1, buffer_bytes: 1 << 19 }, 150)]
+    {
+        for pixels_per_sample in [4, 256] {
+            let settings = Render { lights, pixels_per_sample, shadow_map_px: 256, ..Default::default() };
+            check_lights(&stage, &object, &settings, budget, &format!("{budget:?}"));
+        }
+    }
+}
+
+#[test]
+fn subtractive_shadows_of_distant_light_agree() {
+    let mut light = LightModel::default();
+    room::face(&mut light.mesh, Vec3::new(-1.0, 0.0, -1.0), Vec3::Z * 2.0, Vec3::X * 2.0, 0.25, |_| [0.1; 3]);
+    room::face(&mut light.mesh, Vec3::new(0.3, 0.0, -0.6), Vec3::Z * 0.5, Vec3::Y * 0.5, 0.25, |_| [0.1; 3]);
+    let sun = DistantSource {
+        direction: Vec3::new(0.6, 0.7, 0.1).normalize(),
+        solid_angle_sr: 7e-5,
+        radiance: [3e4; 3],
+    };
+    let sky = |i: i32| DistantSource {
+        direction: Vec3::new((i as f32).sin(), 1.0, (i as f32).cos()).normalize(),
+        solid_angle_sr: 0.3,
+        radiance: [1.0, 1.2, 1.5],
+    };
+    light.distant = std::iter::once(sun).chain((0..9).map(sky)).collect();
+    let camera = camera([0.5, 0.9, 1.2], [0.0, 0.0, 0.0], 96, 72, 90.0);
+    let stage = Stage::new(light, &camera, &Transfer { source_share: 1.0, ..Default::default() });
+    let object = blob(Vec3::new(0.0, 0.2, 0.0), 0.15, 0.1, 24);
+    check_lights(
+        &stage,
+        &object,
+        &Render { lights: 60, ..Default::default() },
+        Budget::default(),
+        "sun and sky",
+    );
+}
+
+#[test]
+fn a_spoilt_shadow_buffer_is_noticed() {
+    let stage = stage(0.4, 96, 0.8);
+    let object = blob(Vec3::new(-0.3, 0.4, 0.1), 0.25, 0.2, 20);
+    let of = |settings: Render| {
+        let settings = Render { method: ShadowMethod::Subtractive, ..settings };
+        shadow::removed_radiance(&stage.scene(), &object, &settings).unwrap().epsilon
+    };
+    let good = of(Render::default());
+    for (what, spoilt) in [
+        ("a light less", Render { lights: 199, ..Default::default() }),
+        ("coarser samples", Render { pixels_per_sample: 16, ..Default::default() }),
+        ("coarser maps", Render { shadow_map_px: 64, ..Default::default() }),
+    ] {
+        let difference = Difference::between(&stage.plate, &good, &of(spoilt));
+        assert!(!difference.agrees(), "{what}: {difference:?}");
+    }
+}
+
+#[test]
+fn a_spoilt_occlusion_texture_is_noticed() {
+    let stage = stage(0.2, 96, 0.8);
+    let object = blob(Vec3::new(-0.3, 0.4, 0.1), 0.25, 0.2, 20);
+    let of = |settings: Render| {
+        let settings = Render { method: ShadowMethod::OcclusionTextures, ..settings };
+        shadow::removed_radiance(&stage.scene(), &object, &settings).unwrap().epsilon
+    };
+    let good = of(Render::default());
+    for (what, spoilt) in [
+        ("another filter", Render { occlusion_filter: OcclusionFilter::NBuffers, ..Default::default() }),
+        ("another rule", Render { combination: Combination::Sum, ..Default::default() }),
+        ("a slice less", Render { slices: 15, ..Default::default() }),
+        ("coarser texels", Render { occlusion_px: 256, ..Default::default() }),
+    ] {
+        let difference = Difference::between(&stage.plate, &good, &of(spoilt));
+        assert!(!difference.agrees(), "{what}: {difference:?}");
+    }
 }
 
 #[test]

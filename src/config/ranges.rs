@@ -76,6 +76,7 @@ const RANGES: &[(&str, &str, Range)] = &[
     ("render", "diffuse", From(0.0, 1.0)),
     ("render", "specular", From(0.0, 1.0)),
     ("render", "shininess", From(0.0, 1e6)),
+    ("render", "roughness", Above(0.0, 1.0)),
     ("render", "smooth_deg", From(0.0, 180.0)),
     ("render", "shading_rays", From(1.0, 65_536.0)),
     ("render", "reflected_rays", From(0.0, 65_536.0)),

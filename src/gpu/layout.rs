@@ -1,5 +1,6 @@
 //! Structs as the shaders of `shaders/` see them.
 
+use crate::occlusion::MOST_SLICES;
 use bytemuck::{Pod, Zeroable};
 
 /// `Frame` of shadow_map_types.wgsl.
@@ -27,7 +28,7 @@ pub(crate) struct ShadowMap {
     pub size: u32,
 }
 
-/// `Receiver` of subtract_transfers.wgsl.
+/// `Receiver` of receiver.wgsl.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
 pub(crate) struct Receiver {
@@ -38,7 +39,7 @@ pub(crate) struct Receiver {
     pub weights: [f32; 3],
     pub vertex_c: u32,
     pub across: [f32; 3],
-    pub padding_a: u32,
+    pub place: u32,
     pub down: [f32; 3],
     pub padding_b: u32,
     pub plate: [f32; 3],
@@ -56,6 +57,93 @@ pub(crate) struct Tile {
     pub first: u32,
     pub count: u32,
     pub padding: [u32; 2],
+}
+
+/// `Textures` of occlusion_types.wgsl.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+pub(crate) struct Textures {
+    pub light_from_world: [[f32; 4]; 4],
+    pub radiance: [f32; 3],
+    pub behind: f32,
+    pub near: f32,
+    pub size: u32,
+    pub slices: u32,
+    pub prefilter: u32,
+    pub combination: u32,
+    pub closed: u32,
+    pub first: u32,
+    pub layers: u32,
+    pub stride: u32,
+    pub last: u32,
+    pub padding: [u32; 2],
+    pub planes: [[f32; 4]; MOST_SLICES],
+}
+
+/// `Node` of rays.wgsl.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+pub(crate) struct Node {
+    pub low: [f32; 3],
+    pub count: u32,
+    pub high: [f32; 3],
+    pub first: u32,
+}
+
+/// `Triangle` of rays.wgsl.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+pub(crate) struct Triangle {
+    pub a: [f32; 3],
+    pub padding_a: u32,
+    pub b: [f32; 3],
+    pub padding_b: u32,
+    pub c: [f32; 3],
+    pub padding_c: u32,
+}
+
+/// `Light` of subtractive_hidden.wgsl.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+pub(crate) struct Light {
+    pub origin: [f32; 3],
+    pub kind: u32,
+    pub power: [f32; 3],
+    pub map: u32,
+    pub normal: [f32; 3],
+    pub padding_a: u32,
+    pub reference: f32,
+    pub spread: f32,
+    pub half: f32,
+    pub padding_b: u32,
+}
+
+/// `Sample` of subtractive_hidden.wgsl.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+pub(crate) struct Sample {
+    pub position: [f32; 3],
+    pub present: u32,
+    pub normal: [f32; 3],
+    pub padding: u32,
+    pub value: [f32; 4],
+}
+
+/// `Detail` of subtractive_hidden.wgsl.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+pub(crate) struct Detail {
+    pub lights: u32,
+    pub scene: u32,
+    pub object: u32,
+    pub add: u32,
+    pub side: u32,
+    pub columns: u32,
+    pub rows: u32,
+    pub width: u32,
+    pub last: u32,
+    pub padding_a: u32,
+    pub padding_b: [u32; 2],
 }
 
 /// `Work` of lookup_ceiling.wgsl.
@@ -114,7 +202,7 @@ mod tests {
                 weights,
                 vertex_c,
                 across,
-                padding_a,
+                place,
                 down,
                 padding_b,
                 plate,
@@ -126,6 +214,39 @@ mod tests {
         same_layout!(module, Tile { centre, radius, first, count, padding });
         let module = &shaders::compose(shaders::SHADOW_MAP).unwrap().0;
         same_layout!(module, Frame { maps, clusters, side, add });
+        let module = &shaders::compose(shaders::OCCLUSION_COMBINE).unwrap().0;
+        same_layout!(
+            module,
+            Textures {
+                light_from_world,
+                radiance,
+                behind,
+                near,
+                size,
+                slices,
+                prefilter,
+                combination,
+                closed,
+                first,
+                layers,
+                stride,
+                last,
+                padding,
+                planes
+            }
+        );
+        let module = &shaders::compose(shaders::SUBTRACTIVE_RESAMPLE).unwrap().0;
+        same_layout!(module, Node { low, count, high, first });
+        same_layout!(module, Triangle { a, padding_a, b, padding_b, c, padding_c });
+        same_layout!(
+            module,
+            Light { origin, kind, power, map, normal, padding_a, reference, spread, half, padding_b }
+        );
+        same_layout!(module, Sample { position, present, normal, padding, value });
+        same_layout!(
+            module,
+            Detail { lights, scene, object, add, side, columns, rows, width, last, padding_a, padding_b }
+        );
         let module = &shaders::compose(shaders::LOOKUP_CEILING).unwrap().0;
         same_layout!(module, Work { lookups, side, layers, width });
     }

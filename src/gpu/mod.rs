@@ -1,22 +1,29 @@
-//! Shadow maps on the graphics processor (wgpu). The plain Rust of [`crate::shadow`] is the reference.
+//! Shadow methods on the graphics processor (wgpu). The plain Rust of [`crate::shadow`] is the reference.
 
 mod atlas;
 mod ceiling;
 mod clock;
 mod device;
 mod layout;
+mod maps;
+mod occlusion;
 mod parity;
+mod prefilter;
 mod radiance_transfer;
+mod rays;
 mod receivers;
 mod shaders;
+mod subtractive;
 #[cfg(test)]
 mod tests;
 
 use crate::error;
 pub use clock::Phases;
 pub(crate) use device::Device;
+pub use occlusion::{DrawnTextures, OcclusionTextures};
 pub use parity::Difference;
 pub use radiance_transfer::{Budget, Drawn, RadianceTransfer, Timing};
+pub use subtractive::{DrawnLights, Subtractive};
 
 /// Why the graphics processor gives no result.
 #[derive(Debug, thiserror::Error)]
@@ -77,7 +84,8 @@ impl error::Problem for Problem {
             }
             Self::Device { .. } => "set render.backend = \"cpu\"".into(),
             Self::Limit { .. } | Self::OutOfMemory { .. } => {
-                "set a smaller render.shadow_map_px or fewer render.passes, use a smaller plate, or set render.backend = \"cpu\""
+                "set a smaller render.shadow_map_px or render.occlusion_px, fewer render.passes or render.lights, use a smaller plate, \
+                 or set render.backend = \"cpu\""
                     .into()
             }
             Self::Lost { .. } => "run again; if it happens again, set render.backend = \"cpu\"".into(),

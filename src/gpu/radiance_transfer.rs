@@ -1,14 +1,14 @@
 //! Shadow maps from representative sources on the graphics processor: raster passes draw all maps into one array
 //! texture, one compute pass looks them up and leaves ε on the device.
 
-use super::atlas::{Atlas, Extent, Packing, Place};
+use super::atlas::{Extent, Packing, Place};
 use super::clock::{Clock, Phase};
 use super::device::Buffer;
-use super::layout::{Frame, ShadowMap};
+use super::layout::ShadowMap;
+use super::maps::Maps;
 use super::receivers::{Block, WORKGROUP};
 use super::{Device, Difference, Phases, ceiling, shaders};
 use crate::config::Render;
-use crate::image::{Radiance, RadianceImage};
 use crate::shadow::{self, MapPlan, OFFSETS, Occluder, Outlook, Plan, Problem, Removed, Scene};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -45,37 +45,19 @@ pub struct RadianceTransfer<'a> {
     /// The same method in plain Rust: plans the maps, does the origins that are too near for one.
     plain: shadow::RadianceTransfer<'a>,
     device: Device,
-    draw: wgpu::RenderPipeline,
     subtract: wgpu::ComputePipeline,
     blocks: Vec<(Block, wgpu::BindGroup)>,
-    atlas: Atlas,
-    buffers: Buffers,
-    groups: Groups,
-    /// Triangles on the device.
-    triangles: Vec<[u32; 3]>,
+    maps: Maps,
+    rows: Buffer,
+    transfers: Buffer,
+    /// Bindings of maps, rows and transfers; made anew where one of them grows.
+    group: wgpu::BindGroup,
 }
 
 /// A frame whose ε is on the device.
 pub struct Drawn<'m, 'a> {
     method: &'m RadianceTransfer<'a>,
     plan: Plan,
-}
-
-/// What is uploaded for each frame.
-struct Buffers {
-    vertices: Buffer,
-    indices: Buffer,
-    frame: Buffer,
-    maps: Buffer,
-    order: Buffer,
-    rows: Buffer,
-    transfers: Buffer,
-}
-
-/// Bindings of [`Buffers`] and the atlas; made anew where one of them grows.
-struct Groups {
-    draw: wgpu::BindGroup,
-    subtract: wgpu::BindGroup,
 }
 
 /// Maps that are drawn and looked up together.
@@ -113,16 +95,16 @@ impl<'a> RadianceTransfer<'a> {
         let invocations = device.limits.max_compute_invocations_per_workgroup;
         device.allows("a workgroup, invocations,", WORKGROUP as u64, u64::from(invocations))?;
         let extent = Extent::new(&device, plain.map_px(), budget.texels)?;
-        let (draw, subtract) =
-            (draw_pipeline(&device)?, device.kernel(shaders::SUBTRACT_TRANSFERS, "subtract")?);
+        let subtract = device.kernel(shaders::SUBTRACT_TRANSFERS, "subtract")?;
         let layout = subtract.get_bind_group_layout(1);
         let blocks = Block::all(&device, plain.prepared(), plain.plate())?;
-        let atlas = Atlas::new(&device, extent, 1);
-        let buffers = Buffers::new(&device);
-        let groups = Groups::new(&device, &draw, &subtract, &buffers, &atlas);
+        let maps = Maps::new(&device, extent)?;
+        let storage = |label| Buffer::new(&device, label, wgpu::BufferUsages::STORAGE);
+        let [rows, transfers] = ["rows of transfers, bytes,", "transfers, bytes,"].map(storage);
+        let group = bind(&device, &subtract, &maps, [&rows, &transfers]);
         let blocks = blocks.into_iter().map(|b| (b.bind(&device, &layout), b)).map(|(g, b)| (b, g)).collect();
         device.wait()?;
-        Ok(Self { plain, device, draw, subtract, blocks, atlas, buffers, groups, triangles: Vec::new() })
+        Ok(Self { plain, device, subtract, blocks, maps, rows, transfers, group })
     }
 
     /// Name of the adapter, and what it is.
@@ -198,7 +180,7 @@ impl<'a> RadianceTransfer<'a> {
 
     /// Lookups each second that the device could make at best.
     pub fn ceiling(&self) -> Result<f64, Problem> {
-        Ok(ceiling::lookups_per_second(&self.device, &self.atlas)?)
+        Ok(ceiling::lookups_per_second(&self.device, &self.maps.atlas)?)
     }
 
     fn work(&self, occluder: &Occluder, outlook: &Outlook, passes: usize) -> Work {
@@ -225,7 +207,7 @@ impl<'a> RadianceTransfer<'a> {
         let mut batches = Vec::new();
         let mut at = 0;
         loop {
-            let (start, mut packing, mut places) = (at, Packing::new(self.atlas.extent), Vec::new());
+            let (start, mut packing, mut places) = (at, Packing::new(self.maps.atlas.extent), Vec::new());
             while let Some(map) = maps.get(at) {
                 let clusters = (map.cluster - maps[start].cluster) as usize + 1;
                 if places.len() == most_maps.max(1) || clusters > most_clusters {
@@ -260,7 +242,7 @@ impl<'a> RadianceTransfer<'a> {
             if let Some(clock) = clock.as_deref_mut() {
                 clock.end(&self.device, Phase::Upload, &mut encoder)?;
             }
-            self.draw_maps(&counts, occluder, clock.as_deref(), &mut encoder);
+            self.maps.draw(&counts, clock.as_deref(), &mut encoder);
             if let Some(clock) = clock.as_deref_mut() {
                 clock.end(&self.device, Phase::Maps, &mut encoder)?;
             }
@@ -281,7 +263,7 @@ impl<'a> RadianceTransfer<'a> {
         work: &Work,
         encoder: &mut wgpu::CommandEncoder,
     ) -> Result<(), Problem> {
-        self.upload_mesh(occluder)?;
+        self.maps.upload_mesh(&self.device, occluder)?;
         for (block, _) in &mut self.blocks {
             block.begin(&self.device, &work.affected, encoder);
             if let Some(blocked) = &work.blocked {
@@ -291,100 +273,30 @@ impl<'a> RadianceTransfer<'a> {
         Ok(())
     }
 
-    fn upload_mesh(&mut self, occluder: &Occluder) -> Result<(), Problem> {
-        self.buffers.vertices.write(&self.device, bytemuck::cast_slice(&occluder.vertices))?;
-        if self.triangles != occluder.triangles {
-            self.buffers.indices.write(&self.device, bytemuck::cast_slice(&occluder.triangles))?;
-            self.triangles.clone_from(&occluder.triangles);
-        }
-        Ok(())
-    }
-
     /// Uploads maps and transfers of a batch. Gives the number of maps in each layer.
     fn upload(&mut self, work: &Work, batch: &Batch, add: bool) -> Result<Vec<u32>, Problem> {
         let maps = &work.drawn.maps[batch.maps.clone()];
+        let mut grown = false;
         let (first, clusters) = if maps.is_empty() {
             (0, 0)
         } else {
             let columns = self.plain.columns(&work.drawn, &work.vertices, batch.maps.clone());
             let values = columns.irradiance.as_slice().unwrap_or(&[]);
-            let grown = [
-                self.buffers.rows.write(&self.device, bytemuck::cast_slice(&columns.row))?,
-                self.buffers.transfers.write(&self.device, bytemuck::cast_slice(values))?,
-            ];
-            self.rebind(grown.contains(&true));
+            grown |= self.rows.write(&self.device, bytemuck::cast_slice(&columns.row))?;
+            grown |= self.transfers.write(&self.device, bytemuck::cast_slice(values))?;
             (columns.first, columns.irradiance.dim().1 as u32)
         };
-        let side = self.atlas.extent.side() as u32;
-        let frame = Frame { maps: maps.len() as u32, clusters, side, add: u32::from(add) };
-        self.buffers.frame.write(&self.device, bytemuck::bytes_of(&frame))?;
-        self.upload_maps(maps, batch, first)
-    }
-
-    fn upload_maps(&mut self, maps: &[MapPlan], batch: &Batch, first: u32) -> Result<Vec<u32>, Problem> {
-        let parameters = maps.iter().zip(&batch.places).filter_map(|(plan, place)| {
-            let projection = plan.projection?;
-            Some(ShadowMap {
-                map_from_world: projection.map_from_world.to_cols_array_2d(),
-                planes: projection.planes.to_cols_array_2d(),
-                sides: plan.sides.map(|s| s.to_array()),
-                offset: OFFSETS[plan.offset].to_array(),
-                weight: plan.weight,
-                cluster: plan.cluster - first,
-                corner: place.corner,
-                layer: place.layer,
-                size: plan.size as u32,
-            })
-        });
-        let parameters: Vec<ShadowMap> = parameters.collect();
-        let mut order: Vec<u32> = (0..parameters.len() as u32).collect();
-        order.sort_by_key(|&i| batch.places[i as usize].layer);
-        let mut counts = vec![0; batch.layers.max(1)];
-        batch.places.iter().for_each(|p| counts[p.layer as usize] += 1);
-        let grown = [
-            self.buffers.maps.write(&self.device, bytemuck::cast_slice(&parameters))?,
-            self.buffers.order.write(&self.device, bytemuck::cast_slice(&order))?,
-            self.atlas.reserve(&self.device, counts.len()),
-        ];
-        self.rebind(grown.contains(&true));
+        let parameters: Vec<ShadowMap> = maps
+            .iter()
+            .zip(&batch.places)
+            .filter_map(|(plan, place)| ShadowMap::of(plan, *place, plan.cluster - first))
+            .collect();
+        let (counts, moved) =
+            self.maps.upload(&self.device, &parameters, batch.layers, [clusters, u32::from(add)])?;
+        if grown || moved {
+            self.group = bind(&self.device, &self.subtract, &self.maps, [&self.rows, &self.transfers]);
+        }
         Ok(counts)
-    }
-
-    fn rebind(&mut self, grown: bool) {
-        if grown {
-            self.groups = Groups::new(&self.device, &self.draw, &self.subtract, &self.buffers, &self.atlas);
-        }
-    }
-
-    /// Draws the maps, each layer in one pass, all its maps in one call.
-    fn draw_maps(
-        &self,
-        counts: &[u32],
-        occluder: &Occluder,
-        clock: Option<&Clock>,
-        encoder: &mut wgpu::CommandEncoder,
-    ) {
-        let mut from = 0;
-        for (i, (layer, count)) in self.atlas.layers.iter().zip(counts).enumerate() {
-            let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-                depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
-                    view: layer,
-                    depth_ops: Some(wgpu::Operations {
-                        load: wgpu::LoadOp::Clear(shadow::EMPTY),
-                        store: wgpu::StoreOp::Store,
-                    }),
-                    stencil_ops: None,
-                }),
-                timestamp_writes: clock.and_then(|c| c.maps(i == 0, i + 1 == counts.len())),
-                ..Default::default()
-            });
-            pass.set_pipeline(&self.draw);
-            pass.set_bind_group(0, &self.groups.draw, &[]);
-            pass.set_vertex_buffer(0, self.buffers.vertices.get().slice(..));
-            pass.set_index_buffer(self.buffers.indices.get().slice(..), wgpu::IndexFormat::Uint32);
-            pass.draw_indexed(0..3 * occluder.triangles.len() as u32, 0, from..from + count);
-            from += count;
-        }
     }
 
     /// Looks the maps up at the tiles that they may shadow.
@@ -393,7 +305,7 @@ impl<'a> RadianceTransfer<'a> {
         let mut pass =
             encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: None, timestamp_writes });
         pass.set_pipeline(&self.subtract);
-        pass.set_bind_group(0, &self.groups.subtract, &[]);
+        pass.set_bind_group(0, &self.group, &[]);
         for (block, group) in self.blocks.iter().filter(|(block, _)| block.count > 0) {
             pass.set_bind_group(1, group, &[]);
             pass.dispatch_workgroups(block.count, 1, 1);
@@ -405,14 +317,14 @@ impl<'a> RadianceTransfer<'a> {
         occluder.check()?;
         let outlook = self.plain.outlook(occluder);
         let work = self.work(occluder, &outlook, self.plain.passes());
-        let side = self.atlas.extent.side();
+        let side = self.maps.atlas.extent.side();
         let row = (4 * side).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT as usize);
         let mut maps = Vec::with_capacity(work.drawn.maps.len());
         for batch in work.batches.iter().filter(|b| b.layers > 0) {
-            self.upload_mesh(occluder)?;
+            self.maps.upload_mesh(&self.device, occluder)?;
             let counts = self.upload(&work, batch, false)?;
             let mut encoder = self.device.device.create_command_encoder(&Default::default());
-            self.draw_maps(&counts, occluder, None, &mut encoder);
+            self.maps.draw(&counts, None, &mut encoder);
             let bytes = (row * side * batch.layers) as u64;
             self.device.allows(
                 "shadow maps to be read, bytes,",
@@ -426,9 +338,12 @@ impl<'a> RadianceTransfer<'a> {
                 rows_per_image: Some(side as u32),
             };
             encoder.copy_texture_to_buffer(
-                self.atlas.texture.as_image_copy(),
+                self.maps.atlas.texture.as_image_copy(),
                 wgpu::TexelCopyBufferInfo { buffer: &staging, layout },
-                wgpu::Extent3d { depth_or_array_layers: batch.layers as u32, ..self.atlas.texture.size() },
+                wgpu::Extent3d {
+                    depth_or_array_layers: batch.layers as u32,
+                    ..self.maps.atlas.texture.size()
+                },
             );
             self.device.queue.submit([encoder.finish()]);
             let values: Vec<f32> = self.device.read(&staging)?;
@@ -464,80 +379,19 @@ impl Drawn<'_, '_> {
     /// Waits for it and reads ε.
     pub fn read(self) -> Result<Removed, Problem> {
         let RadianceTransfer { plain, device, blocks, .. } = self.method;
-        let (width, height) = plain.plate().size();
-        let mut epsilon = vec![Radiance::default(); width * height];
-        for (block, _) in blocks {
-            let pixels = &plain.prepared().pixels[block.pixels()];
-            for (pixel, [r, g, b, _]) in pixels.iter().zip(block.read(device)?) {
-                epsilon[pixel.index as usize] = Radiance([r, g, b]);
-            }
-        }
-        Ok(plain.removed(&self.plan, RadianceImage::from_pixels(width, height, epsilon)))
+        let blocks = blocks.iter().map(|(block, _)| block);
+        let (epsilon, _) = Block::epsilon(blocks, device, plain.prepared(), plain.plate().size())?;
+        Ok(plain.removed(&self.plan, epsilon))
     }
 }
 
-impl Buffers {
-    fn new(device: &Device) -> Self {
-        use wgpu::BufferUsages as Usage;
-        Self {
-            vertices: Buffer::new(device, "occluder, bytes,", Usage::VERTEX),
-            indices: Buffer::new(device, "occluder's triangles, bytes,", Usage::INDEX),
-            frame: Buffer::new(device, "frame", Usage::UNIFORM),
-            maps: Buffer::new(device, "parameters of maps, bytes,", Usage::STORAGE),
-            order: Buffer::new(device, "maps by layer, bytes,", Usage::STORAGE),
-            rows: Buffer::new(device, "rows of transfers, bytes,", Usage::STORAGE),
-            transfers: Buffer::new(device, "transfers, bytes,", Usage::STORAGE),
-        }
-    }
-}
-
-impl Groups {
-    fn new(
-        device: &Device,
-        draw: &wgpu::RenderPipeline,
-        subtract: &wgpu::ComputePipeline,
-        buffers: &Buffers,
-        atlas: &Atlas,
-    ) -> Self {
-        let [frame, maps, order, rows, transfers] =
-            [&buffers.frame, &buffers.maps, &buffers.order, &buffers.rows, &buffers.transfers]
-                .map(|b| b.get().as_entire_binding());
-        let view = wgpu::BindingResource::TextureView(&atlas.view);
-        Self {
-            draw: device.bind(&draw.get_bind_group_layout(0), [frame.clone(), maps.clone(), order]),
-            subtract: device.bind(&subtract.get_bind_group_layout(0), [frame, maps, rows, transfers, view]),
-        }
-    }
-}
-
-fn draw_pipeline(device: &Device) -> Result<wgpu::RenderPipeline, super::Problem> {
-    let module = device.shader(shaders::SHADOW_MAP)?;
-    let pipeline = device.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-        label: Some("draw shadow maps"),
-        layout: None,
-        vertex: wgpu::VertexState {
-            module: &module,
-            entry_point: Some("draw"),
-            compilation_options: Default::default(),
-            buffers: &[Some(wgpu::VertexBufferLayout {
-                array_stride: 12,
-                step_mode: wgpu::VertexStepMode::Vertex,
-                attributes: &wgpu::vertex_attr_array![0 => Float32x3],
-            })],
-        },
-        primitive: wgpu::PrimitiveState::default(),
-        depth_stencil: Some(wgpu::DepthStencilState {
-            format: wgpu::TextureFormat::Depth32Float,
-            depth_write_enabled: Some(true),
-            depth_compare: Some(wgpu::CompareFunction::Less),
-            stencil: Default::default(),
-            bias: Default::default(),
-        }),
-        multisample: Default::default(),
-        fragment: None,
-        multiview_mask: None,
-        cache: None,
-    });
-    device.check()?;
-    Ok(pipeline)
+fn bind(
+    device: &Device,
+    subtract: &wgpu::ComputePipeline,
+    maps: &Maps,
+    [rows, transfers]: [&Buffer; 2],
+) -> wgpu::BindGroup {
+    let [parameters, atlas] = maps.resources();
+    let [frame, rows, transfers] = [maps.frame(), rows, transfers].map(|b| b.get().as_entire_binding());
+    device.bind(&subtract.get_bind_group_layout(0), [parameters, atlas, frame, rows, transfers])
 }

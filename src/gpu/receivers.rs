@@ -2,7 +2,7 @@
 
 use super::layout::{Receiver, Tile};
 use super::{Device, Problem};
-use crate::image::RadianceImage;
+use crate::image::{Radiance, RadianceImage};
 use crate::shadow::{Pixel, Prepared, TILE_PX};
 use std::ops::Range;
 
@@ -91,6 +91,17 @@ impl Block {
         device.bind(layout, buffers.map(|b| b.as_entire_binding()))
     }
 
+    /// What kernels see of it that take pixels one by one: receivers, what is blocked, ε.
+    pub fn buffers(&self) -> [&wgpu::Buffer; 3] {
+        [&self.resident[1], &self.blocked, &self.epsilon]
+    }
+
+    /// Empties ε and what is blocked.
+    pub fn clear(&self, encoder: &mut wgpu::CommandEncoder) {
+        encoder.clear_buffer(&self.blocked, 0, None);
+        encoder.clear_buffer(&self.epsilon, 0, None);
+    }
+
     /// Empties ε and uploads the tiles that a frame may change, of all (ascending).
     pub fn begin(&mut self, device: &Device, affected: &[u32], encoder: &mut wgpu::CommandEncoder) {
         let from = affected.partition_point(|&t| (t as usize) < self.tiles.start);
@@ -109,11 +120,29 @@ impl Block {
     }
 
     /// Reads ε of its pixels.
-    pub fn read(&self, device: &Device) -> Result<Vec<[f32; 4]>, Problem> {
+    fn read(&self, device: &Device) -> Result<Vec<[f32; 4]>, Problem> {
         let mut encoder = device.device.create_command_encoder(&Default::default());
         encoder.copy_buffer_to_buffer(&self.epsilon, 0, &self.staging, 0, 16 * self.pixels.len() as u64);
         device.queue.submit([encoder.finish()]);
         device.read(&self.staging)
+    }
+
+    /// ε of all blocks as a picture of the plate's size, and the kernel's fourth number by receiver pixel.
+    pub fn epsilon<'b>(
+        blocks: impl Iterator<Item = &'b Self>,
+        device: &Device,
+        prepared: &Prepared,
+        (width, height): (usize, usize),
+    ) -> Result<(RadianceImage, Vec<f32>), Problem> {
+        let mut epsilon = vec![Radiance::default(); width * height];
+        let mut fourth = Vec::with_capacity(prepared.pixels.len());
+        for block in blocks {
+            for (pixel, [r, g, b, w]) in prepared.pixels[block.pixels()].iter().zip(block.read(device)?) {
+                epsilon[pixel.index as usize] = Radiance([r, g, b]);
+                fourth.push(w);
+            }
+        }
+        Ok((RadianceImage::from_pixels(width, height, epsilon), fourth))
     }
 
     /// Numbers of its pixels.
@@ -131,7 +160,7 @@ fn receiver(p: &Pixel, plate: &RadianceImage) -> Receiver {
         weights: p.weights,
         vertex_c: p.vertices[2],
         across: p.footprint[0].to_array(),
-        padding_a: 0,
+        place: p.index + 1,
         down: p.footprint[1].to_array(),
         padding_b: 0,
         plate: plate.pixels()[p.index as usize].0,

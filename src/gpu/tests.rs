@@ -1,9 +1,54 @@
-use super::{Problem, RadianceTransfer};
+use super::{Device, Problem, RadianceTransfer};
 use crate::config::{Render, Transfer};
 use crate::error::Problem as _;
+use crate::occlusion::{Frustum, Mask, RectangularLight, Slices};
 use crate::shadow::{self, Scene};
 use crate::synthetic::{Lobby, lobby_of};
 use crate::transfer::solve;
+use glam::Vec3;
+
+/// `None`, said aloud, where there is no adapter.
+pub(super) fn device() -> Option<Device> {
+    match Device::open(u64::MAX) {
+        Ok(device) => Some(device),
+        Err(e) => {
+            assert!(std::env::var("INSITU_GPU").as_deref() != Ok("require"), "{e}");
+            println!("skipped (1 check): {e}");
+            None
+        }
+    }
+}
+
+#[test]
+fn slices_are_drawn_as_on_the_cpu() {
+    let Some(device) = device() else { return };
+    let room = Lobby::new(1.5, 48);
+    let light = RectangularLight {
+        centre: Vec3::new(0.45, 3.0, 0.45),
+        half: [Vec3::X * 0.25, Vec3::Z * 0.25],
+        radiance: [1.0; 3],
+    };
+    let object = Lobby::object([0.3, 0.6], 0.4);
+    let (size, slices) = (128, Slices::around([1.0, 2.6], 3.0, 12));
+    let floor = [Vec3::new(-1.0, 0.0, -1.0), Vec3::new(2.0, 0.0, 1.5)];
+    let frustum = Frustum::fit(&light, floor.into_iter());
+    let triangles = room.light.mesh.triangles();
+    let found = super::occlusion::draw_alone(
+        &device,
+        [(&room.light.mesh.vertices, &triangles), (&object.vertices, &object.triangles)],
+        (&frustum, &slices, size),
+    )
+    .unwrap();
+    let plain = [(&room.light.mesh.vertices, &triangles), (&object.vertices, &object.triangles)]
+        .map(|(vertices, triangles)| Mask::draw(&frustum, &slices, size, vertices, triangles));
+    for (mask, shift) in plain.iter().zip([0, 16]) {
+        let marked = mask.bits.iter().filter(|b| **b != 0).count();
+        let other = mask.bits.iter().zip(&found).filter(|(a, b)| u32::from(**a) != **b >> shift & 0xffff);
+        // Rounding may move an outline or a slice's border by a texel, in few places.
+        let other = other.count();
+        assert!(marked > 200 && other * 200 <= marked, "{other} of {marked} texels");
+    }
+}
 
 #[test]
 fn a_lost_device_is_an_error_and_stays_one() {

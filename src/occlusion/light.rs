@@ -37,8 +37,13 @@ impl RectangularLight {
 
     /// Irradiance on a surface with nothing between, plate units.
     pub fn irradiance(&self, position: Vec3, normal: Vec3) -> [f32; 3] {
-        let share = form_factor::polygon(position, normal, &self.corners());
+        let share = self.form_factor(position, normal);
         self.radiance.map(|l| std::f32::consts::PI * share * l)
+    }
+
+    /// Share of what a surface sends that falls onto the light's front, by cosine.
+    pub(crate) fn form_factor(&self, position: Vec3, normal: Vec3) -> f32 {
+        form_factor::polygon(position, normal, &self.corners())
     }
 
     /// Into the light's coordinates: column and row in half sides (the rectangle spans −1..1) and depth, the distance from

@@ -36,6 +36,7 @@ pub use frustum::{Frustum, Kernel, Section};
 pub use light::RectangularLight;
 pub use mipmap::Mipmap;
 pub use n_buffers::NBuffers;
+pub(crate) use plate::Cut;
 pub use plate::PlateShadow;
 pub use slices::{Fade, MOST_SLICES, Mask, Slices};
 pub use summed_area::SummedArea;

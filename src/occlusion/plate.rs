@@ -6,7 +6,7 @@
 
 use super::{Frustum, Mask, OcclusionTextures, RectangularLight, Slices, find, given};
 use crate::config::Render;
-use crate::image::luminance;
+use crate::image::{RadianceImage, luminance};
 use crate::shadow::{Occluder, Pixel, Prepared, Problem, Removed, Scene};
 use crate::transfer::sampling::Shift;
 use crate::visibility::Bvh;
@@ -53,11 +53,15 @@ impl<'a> PlateShadow<'a> {
 
     /// ε of an object. Scene and object are drawn anew: the slices follow the object.
     pub fn frame(&self, occluder: &Occluder) -> Result<Removed, Problem> {
-        self.gather(occluder, |reach, near| self.sliced(occluder, reach, near))
+        occluder.check()?;
+        let cuts = self.cuts(occluder);
+        let textures = Self::textures(&cuts);
+        Ok(self.sum(&cuts, textures, |cut, near| self.sliced(occluder, cut, near)))
     }
 
     /// The same by so many rays from each pixel to each rectangle: what slices cost is the difference.
     pub fn traced(&self, occluder: &Occluder, rays: usize) -> Result<Removed, Problem> {
+        occluder.check()?;
         let scene = Bvh::new(&self.scene.light.mesh.vertices, &self.triangles);
         let object = Bvh::new(&occluder.vertices, &occluder.triangles);
         let taken = |light: &RectangularLight, pixel: &Pixel| {
@@ -69,44 +73,59 @@ impl<'a> PlateShadow<'a> {
             });
             hidden.count() as f32 / rays.max(1) as f32
         };
-        self.gather(occluder, |reach, near| (near.par_iter().map(|p| taken(reach.light, p)).collect(), 0))
+        let of =
+            |cut: &Cut, near: &[&Pixel]| near.par_iter().map(|p| taken(&self.lights[cut.light], p)).collect();
+        Ok(self.sum(&self.cuts(occluder), 0, of))
     }
 
-    /// Sums over the lights. `taken` gives the share of each that the object takes from some pixels, and the number of
-    /// textures that this needed.
-    fn gather(
-        &self,
-        occluder: &Occluder,
-        taken: impl Fn(&Reach, &[&Pixel]) -> (Vec<f32>, usize),
-    ) -> Result<Removed, Problem> {
-        occluder.check()?;
+    /// Before each light of which the object may take something.
+    pub(crate) fn cuts(&self, occluder: &Occluder) -> Vec<Cut> {
         let pixels = &self.prepared.pixels;
-        let mut blocked = vec![[0.0; 3]; pixels.len()];
-        let mut textures = 0;
-        for light in &self.lights {
+        let cut = |(number, light): (usize, &RectangularLight)| {
             let reach = Reach::new(light, occluder);
             let near: Vec<usize> =
                 (0..pixels.len()).into_par_iter().filter(|&i| reach.holds(pixels[i].position)).collect();
-            if near.is_empty() {
-                continue;
-            }
-            let seen: Vec<&Pixel> = near.iter().map(|&i| &pixels[i]).collect();
-            let (shares, made) = taken(&reach, &seen);
-            textures += made;
+            let far = near.iter().map(|&i| reach.coordinates(pixels[i].position).z).fold(0.0, f32::max);
+            let frustum = Frustum::fit(light, near.iter().map(|&i| pixels[i].position));
+            let slices = Slices::around([reach.low.z, reach.high.z], far, self.settings.slices);
+            (!near.is_empty()).then_some(Cut { light: number, near, frustum, slices })
+        };
+        self.lights.iter().enumerate().filter_map(cut).collect()
+    }
+
+    /// Number of textures that they take, without the object and with it.
+    pub(crate) fn textures(cuts: &[Cut]) -> usize {
+        cuts.iter().map(|cut| 2 * cut.slices.count()).sum()
+    }
+
+    /// Sums over the lights. `taken` gives the share of each that the object takes from some pixels.
+    fn sum(&self, cuts: &[Cut], textures: usize, taken: impl Fn(&Cut, &[&Pixel]) -> Vec<f32>) -> Removed {
+        let pixels = &self.prepared.pixels;
+        let mut blocked = vec![[0.0; 3]; pixels.len()];
+        for cut in cuts {
+            let light = &self.lights[cut.light];
+            let seen: Vec<&Pixel> = cut.near.iter().map(|&i| &pixels[i]).collect();
             let sent: Vec<[f32; 3]> = seen
                 .par_iter()
-                .zip(&shares)
+                .zip(&taken(cut, &seen))
                 .map(|(pixel, &share)| match share {
                     0.0 => [0.0; 3],
                     _ => light.irradiance(pixel.position, pixel.normal).map(|e| e * share),
                 })
                 .collect();
-            for (i, sent) in near.into_iter().zip(sent) {
+            for (&i, sent) in cut.near.iter().zip(sent) {
                 (0..3).for_each(|c| blocked[i][c] += sent[c]);
             }
         }
-        Ok(Removed {
-            epsilon: self.prepared.epsilon(self.scene.plate, &blocked),
+        self.removed(self.prepared.epsilon(self.scene.plate, &blocked), textures)
+    }
+
+    /// No error is expected in numbers: it is a bias (occlusion of different slices that is not independent, contact within
+    /// a slice, light that is no rectangle), the same for any two halves of the slices or texels, so that nothing here
+    /// differs by it. What is known is the share of light that is left out.
+    pub(crate) fn removed(&self, epsilon: RadianceImage, textures: usize) -> Removed {
+        Removed {
+            epsilon,
             codes: None,
             noise: None,
             sources_used: self.lights.len(),
@@ -114,47 +133,69 @@ impl<'a> PlateShadow<'a> {
             shadow_maps: textures,
             expected_error: None,
             left_out_share: self.left_out_share,
-        })
+        }
     }
 
-    /// V⁰ − V¹ of the pixels that the object may shadow, which set frustum and slices.
-    fn sliced(&self, occluder: &Occluder, reach: &Reach, near: &[&Pixel]) -> (Vec<f32>, usize) {
-        let settings = &self.settings;
-        let far = near.iter().map(|p| reach.coordinates(p.position).z).fold(0.0, f32::max);
-        let frustum = Frustum::fit(reach.light, near.iter().map(|p| p.position));
-        let slices = Slices::around([reach.low.z, reach.high.z], far, settings.slices);
+    /// V⁰ − V¹ of the pixels that the object may shadow.
+    fn sliced(&self, occluder: &Occluder, cut: &Cut, near: &[&Pixel]) -> Vec<f32> {
+        let (settings, Cut { frustum, slices, .. }) = (&self.settings, cut);
         let draw = |vertices: &[Vec3], triangles: &[[u32; 3]]| {
-            let mask = Mask::draw(&frustum, &slices, settings.occlusion_px, vertices, triangles);
+            let mask = Mask::draw(frustum, slices, settings.occlusion_px, vertices, triangles);
             if settings.close_leaks { mask.closed() } else { mask }
         };
         let without = draw(&self.scene.light.mesh.vertices, &self.triangles);
         let with = draw(&occluder.vertices, &occluder.triangles).with(&without);
         let [without, with] = [without, with]
-            .map(|mask| OcclusionTextures::new(&frustum, &slices, &mask, settings.occlusion_filter));
+            .map(|mask| OcclusionTextures::new(frustum, slices, &mask, settings.occlusion_filter));
         let visible = |textures: &OcclusionTextures, pixel: &Pixel| {
             textures.visibility(pixel.position, settings.combination)
         };
-        let taken = near.par_iter().map(|p| (visible(&without, p) - visible(&with, p)).max(0.0)).collect();
-        (taken, 2 * slices.count())
+        near.par_iter().map(|p| (visible(&without, p) - visible(&with, p)).max(0.0)).collect()
+    }
+
+    pub(crate) fn prepared(&self) -> &Prepared {
+        &self.prepared
+    }
+
+    pub(crate) fn scene(&self) -> &Scene<'a> {
+        &self.scene
+    }
+
+    /// Of the scene.
+    pub(crate) fn triangles(&self) -> &[[u32; 3]] {
+        &self.triangles
+    }
+
+    pub(crate) fn settings(&self) -> &Render {
+        &self.settings
     }
 }
 
+/// How the space between a light and the pixels that an object may shadow is cut.
+pub(crate) struct Cut {
+    /// Which light.
+    pub light: usize,
+    /// Numbers of those pixels, ascending; they set frustum and slices.
+    pub near: Vec<usize>,
+    pub frustum: Frustum,
+    pub slices: Slices,
+}
+
 /// What an object may hide a light from.
-struct Reach<'a> {
-    light: &'a RectangularLight,
+struct Reach {
     light_from_world: Affine3A,
     /// Box around the object in the light's coordinates.
     low: Vec3,
     high: Vec3,
 }
 
-impl<'a> Reach<'a> {
-    fn new(light: &'a RectangularLight, occluder: &Occluder) -> Self {
+impl Reach {
+    fn new(light: &RectangularLight, occluder: &Occluder) -> Self {
         let light_from_world = light.light_from_world();
         let corners = occluder.triangles.iter().flatten();
         let points = corners.map(|&v| light_from_world.transform_point3(occluder.vertices[v as usize]));
         let (low, high) = points.fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(a, b), q| (a.min(q), b.max(q)));
-        Self { light, light_from_world, low, high }
+        Self { light_from_world, low, high }
     }
 
     fn coordinates(&self, position: Vec3) -> Vec3 {

@@ -59,6 +59,11 @@ impl Slices {
         self.planes[slice + 1]
     }
 
+    /// Where a slice begins and ends, m.
+    pub(crate) fn span(&self, slice: usize) -> [f32; 2] {
+        [self.planes[slice], self.planes[slice + 1]]
+    }
+
     /// How a slice fades in behind it. Where slices differ the thinner of this one and the next sets the length.
     pub fn fade(&self, slice: usize) -> Fade {
         let end = self.planes[slice + 1];
@@ -80,7 +85,8 @@ fn cuts(from: f32, to: f32, count: usize) -> impl Iterator<Item = f32> {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Fade {
     end: f32,
-    length: f32,
+    /// From nothing to all, m.
+    pub(crate) length: f32,
 }
 
 impl Fade {

@@ -7,6 +7,7 @@ use crate::transfer::sampling::Shift;
 use crate::transfer::{Transfers, solve};
 use crate::visibility::Bvh;
 use glam::Vec3;
+use proptest::prelude::*;
 
 /// A ceiling light of 0.8 × 0.5 m, 2 m above the floor.
 fn light() -> RectangularLight {
@@ -110,6 +111,38 @@ fn a_thin_wing_leaks_unless_slices_are_closed() {
     };
     let (open, closed) = (leak(false), leak(true));
     assert!(closed < 0.5 * open, "{open} leaks, {closed} where closed");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+    #[test]
+    fn rules_keep_their_order_on_any_occluder(
+        corners in proptest::collection::vec((-0.6..0.6f32, 0.2..1.9f32, -0.6..0.6f32), 9..60),
+        filter in 0usize..3, closed in any::<bool>(),
+    ) {
+        let vertices: Vec<Vec3> = corners.iter().map(|&(x, y, z)| Vec3::new(x, y, z)).collect();
+        let triangles = (0..vertices.len() as u32 / 3).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
+        let occluder = Occluder { vertices, triangles };
+        let found = textures(&occluder, &Slices::uniform(0.0, 2.0, 8), OcclusionFilter::ALL[filter], closed);
+        for p in floor() {
+            let [product, sum, maximum] = [Combination::Product, Combination::Sum, Combination::Maximum]
+                .map(|rule| found.visibility(p, rule));
+            prop_assert!(sum <= product + 1e-5 && product <= maximum + 1e-5, "{} {} {}", sum, product, maximum);
+        }
+    }
+
+    #[test]
+    fn what_stands_before_no_light_removes_nothing(
+        x in -1.0..2.0f32, z in -1.0..2.0f32, above in any::<bool>(), depth in 0.3..1.5f32,
+    ) {
+        let room = Room::new();
+        // Behind the luminaire or below the floor.
+        let y = if above { 3.0 + depth } else { -depth };
+        let object = cuboid(Vec3::new(x, y, z), Vec3::splat(0.2));
+        let settings = Render { method: ShadowMethod::OcclusionTextures, occlusion_px: 128, ..Default::default() };
+        let removed = removed_radiance(&room.scene(), &object, &settings).unwrap();
+        prop_assert!(removed.epsilon.pixels().iter().all(|e| e.0 == [0.0; 3]));
+    }
 }
 
 /// A closed room with one luminaire, seen from within.

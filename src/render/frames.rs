@@ -3,6 +3,7 @@
 use super::{Object, Set, Shaded, check_placement};
 use crate::error::{Context as _, Result};
 use crate::shadow::{self, Caster, Occluder, Removed, Session};
+use crate::subtractive::Pace;
 use glam::{Affine3A, Vec3};
 use std::time::Instant;
 
@@ -13,6 +14,8 @@ pub struct Frames<'a> {
     object: &'a Object,
     caster: Caster,
     faces: &'a [Vec3],
+    /// Of the object's shading.
+    pace: Pace,
 }
 
 /// The object at a place.
@@ -39,7 +42,8 @@ impl<'a> Frames<'a> {
     ) -> Result<Self> {
         let session = Session::prepare(shadows, set.settings).doing("preparing the shadow method")?;
         let occluder = Occluder { vertices: object.vertices.clone(), triangles: object.triangles.clone() };
-        Ok(Self { set, session, object, caster: Caster::of(&occluder, set.settings), faces })
+        let caster = Caster::of(&occluder, set.settings);
+        Ok(Self { set, session, object, caster, faces, pace: Pace::default() })
     }
 
     /// What casts the shadow.
@@ -64,7 +68,7 @@ impl<'a> Frames<'a> {
         let shadow =
             self.session.frame(&self.caster.moved(motion).occluder).doing(doing("finding the shadow"))?;
         let started = Instant::now();
-        let shaded = self.set.shade(&object, &shadow.removed.epsilon);
+        let shaded = self.set.shade(&object, &shadow.removed.epsilon, &mut self.pace);
         let shade_s = started.elapsed().as_secs_f64();
         Ok(Frame { removed: shadow.removed, shaded, warnings, shadow_s: shadow.seconds, shade_s })
     }

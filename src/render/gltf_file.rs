@@ -127,7 +127,8 @@ fn add_primitive(
 
 /// Metallic-roughness to Phong: diffuse `0.96 c (1 − m)`, specular `0.04 (1 − m) + c m` (the specification's
 /// Fresnel reflectance at normal incidence), exponent `(2/α² − 2) / 4` with `α = roughness²`: the Blinn–Phong
-/// exponent of the same slope (Walter et al. 2007), a quarter of it for a lobe about the mirror direction.
+/// exponent of the same slope (Walter et al. 2007), a quarter of it for a lobe about the mirror direction. α itself is kept
+/// for GGX, which is what the specification means.
 fn material(m: &gltf::Material) -> Material {
     let pbr = m.pbr_metallic_roughness();
     let [r, g, b, _] = pbr.base_color_factor();
@@ -137,6 +138,7 @@ fn material(m: &gltf::Material) -> Material {
         diffuse: [r, g, b].map(|c| 0.96 * c * (1.0 - metallic)),
         specular: [r, g, b].map(|c| 0.04 * (1.0 - metallic) + c * metallic),
         shininess: ((2.0 / (alpha * alpha) - 2.0) / 4.0).max(0.0),
+        roughness: Some(alpha),
     }
 }
 
@@ -180,7 +182,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a.gltf");
         std::fs::write(&path, text).unwrap();
-        read(&path, Material { diffuse: [0.5; 3], specular: [0.0; 3], shininess: 1.0 })
+        read(&path, Material { diffuse: [0.5; 3], specular: [0.0; 3], shininess: 1.0, roughness: None })
     }
 
     #[test]
@@ -192,6 +194,7 @@ mod tests {
         let m = soup.materials[soup.triangles[0].material as usize];
         assert!((m.diffuse[0] - 0.48).abs() < 1e-6 && (m.specular[0] - 0.04).abs() < 1e-6);
         assert!((m.shininess - 7.5).abs() < 1e-4, "{}", m.shininess);
+        assert_eq!(m.roughness, Some(0.25));
     }
 
     #[test]

@@ -254,7 +254,8 @@ mod tests {
         }
     }
 
-    const CLAY: Material = Material { diffuse: [0.6, 0.3, 0.1], specular: [0.0; 3], shininess: 1.0 };
+    const CLAY: Material =
+        Material { diffuse: [0.6, 0.3, 0.1], specular: [0.0; 3], shininess: 1.0, roughness: None };
 
     fn furnace(radiance: f32) -> Environment {
         Environment { map: Image::from_fn(32, 16, |_, _| Radiance([radiance; 3])) }
@@ -326,7 +327,7 @@ mod tests {
 
     #[test]
     fn a_mirroring_sphere_in_a_furnace_sends_no_more_than_it_gets() {
-        let mirror = Material { diffuse: [0.2; 3], specular: [0.8; 3], shininess: 200.0 };
+        let mirror = Material { diffuse: [0.2; 3], specular: [0.8; 3], shininess: 200.0, roughness: None };
         let seen = show(&sphere(Vec3::Z * 3.0, 0.5, mirror), &camera(100), &Bvh::new(&[], &[]));
         let brightest = seen.layer.colour.pixels().iter().map(|c| c.0[0]).fold(0.0, f32::max);
         assert!(brightest <= 2.002 && brightest > 1.9, "{brightest}");

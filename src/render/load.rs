@@ -50,8 +50,12 @@ pub fn load_object(path: &Path, settings: &config::Render) -> Result<Object> {
 }
 
 fn default_material(settings: &config::Render) -> Result<Material, Problem> {
-    let material =
-        Material { diffuse: settings.diffuse, specular: settings.specular, shininess: settings.shininess };
+    let material = Material {
+        diffuse: settings.diffuse,
+        specular: settings.specular,
+        shininess: settings.shininess,
+        roughness: None,
+    };
     let refuse =
         |name, value: f32, expected| Err(Problem::Setting { name, value: f64::from(value), expected });
     for k in 0..3 {
@@ -103,6 +107,7 @@ fn read_obj(path: &Path, fallback: Material) -> Result<Soup> {
             diffuse: m.diffuse.unwrap_or(fallback.diffuse),
             specular: m.specular.unwrap_or([0.0; 3]),
             shininess: m.shininess.unwrap_or(fallback.shininess),
+            roughness: None,
         });
     }
     for tobj::Model { mesh, .. } in models {

@@ -65,7 +65,12 @@ mod tests {
             positions: (0..8)
                 .map(|i| Vec3::new((i & 1) as f32, (i >> 1 & 1) as f32, (i >> 2 & 1) as f32) * 2.0 - 1.0)
                 .collect(),
-            materials: vec![Material { diffuse: [0.5; 3], specular: [0.0; 3], shininess: 1.0 }],
+            materials: vec![Material {
+                diffuse: [0.5; 3],
+                specular: [0.0; 3],
+                shininess: 1.0,
+                roughness: None,
+            }],
             ..Soup::default()
         };
         for quad in [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]] {

@@ -14,6 +14,8 @@ pub struct Material {
     pub specular: [f32; 3],
     /// Phong exponent.
     pub shininess: f32,
+    /// α of GGX, where the file has it.
+    pub roughness: Option<f32>,
 }
 
 impl Material {
@@ -249,7 +251,12 @@ mod tests {
     pub(crate) fn tetrahedron() -> Soup {
         let mut soup = Soup {
             positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::Z],
-            materials: vec![Material { diffuse: [0.5; 3], specular: [0.0; 3], shininess: 1.0 }],
+            materials: vec![Material {
+                diffuse: [0.5; 3],
+                specular: [0.0; 3],
+                shininess: 1.0,
+                roughness: None,
+            }],
             ..Soup::default()
         };
         for t in [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]] {
@@ -313,9 +320,13 @@ mod tests {
 
     #[test]
     fn reflectances_are_brought_to_conserve_energy() {
-        let (m, changed) =
-            Material { diffuse: [0.9, 0.2, -1.0], specular: [0.9, 0.2, f32::NAN], shininess: 10.0 }
-                .conserving();
+        let (m, changed) = Material {
+            diffuse: [0.9, 0.2, -1.0],
+            specular: [0.9, 0.2, f32::NAN],
+            shininess: 10.0,
+            roughness: None,
+        }
+        .conserving();
         assert!(changed);
         assert_eq!(m.diffuse, [0.5, 0.2, 0.0]);
         assert_eq!(m.specular, [0.5, 0.2, 0.0]);

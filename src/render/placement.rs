@@ -144,7 +144,12 @@ mod tests {
             positions: [[-0.1, 0.0, -0.1], [0.1, 0.0, -0.1], [0.0, 0.0, 0.1], [0.0, 0.1, 0.0]]
                 .map(|p| Vec3::from_array(p) + centre)
                 .to_vec(),
-            materials: vec![Material { diffuse: [0.5; 3], specular: [0.0; 3], shininess: 1.0 }],
+            materials: vec![Material {
+                diffuse: [0.5; 3],
+                specular: [0.0; 3],
+                shininess: 1.0,
+                roughness: None,
+            }],
             ..Soup::default()
         };
         for t in [[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]] {

@@ -156,7 +156,12 @@ mod tests {
                 .into_iter()
                 .flat_map(|x| [at(x, 0.0, 0.2), at(x, 0.0, -0.2), at(x, 0.4, -0.2), at(x, 0.4, 0.2)])
                 .collect(),
-            materials: vec![Material { diffuse: [0.5, 0.25, 0.0], specular: [0.1; 3], shininess: 10.0 }],
+            materials: vec![Material {
+                diffuse: [0.5, 0.25, 0.0],
+                specular: [0.1; 3],
+                shininess: 10.0,
+                roughness: None,
+            }],
             ..Soup::default()
         };
         soup.add_polygon(&[0, 1, 2, 3], None, 0);

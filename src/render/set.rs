@@ -11,7 +11,7 @@ use crate::illuminate::patch::LightModel;
 use crate::image::RadianceImage;
 use crate::irradiance::{Beams, Volume};
 use crate::shadow::Receivers;
-use crate::subtractive::render_object;
+use crate::subtractive::{Pace, render_object};
 use crate::transfer::Transfers;
 use crate::visibility::Bvh;
 
@@ -49,8 +49,9 @@ pub struct Shaded {
 }
 
 impl Set<'_> {
-    /// Lights the object, and the scene by it. `removed` is its shadow on the plate.
-    pub fn shade(&self, object: &Object, removed: &RadianceImage) -> Shaded {
+    /// Lights the object, and the scene by it. `removed` is its shadow on the plate, `pace` what earlier frames took of the
+    /// method that shades by a time.
+    pub fn shade(&self, object: &Object, removed: &RadianceImage, pace: &mut Pace) -> Shaded {
         let [low, high] = object.bounds();
         let width = self.settings.environment_px.max(8);
         let environment = Environment::cast(self.light, self.light_bvh, (low + high) / 2.0, width, width / 2);
@@ -61,7 +62,9 @@ impl Set<'_> {
         let lighting = Lighting::new(&irradiance, &environment, object, rays, Some(&shadowed));
         let (antialiasing, seed) = (self.settings.antialiasing, self.settings.seed);
         let rendered = match self.settings.method {
-            ShadowMethod::Subtractive => render_object(self, object, &environment, &irradiance, &shadowed),
+            ShadowMethod::Subtractive => {
+                render_object(self, object, &environment, &irradiance, &shadowed, pace)
+            }
             _ => render(object, self.camera, self.scene_bvh, &lighting, antialiasing, seed),
         };
         let total = |receiver: &_| self.transfers.irradiance_on(receiver);

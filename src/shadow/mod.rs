@@ -90,7 +90,8 @@ pub struct Removed {
     pub passes: usize,
     /// Hard shadows of which those of the clusters are made.
     pub shadow_maps: usize,
-    /// Relative shadow error to expect of the clusters and maps.
+    /// Relative shadow error to expect of the clusters and maps, or of the lights that stand for an environment; `None`
+    /// where the method cannot tell.
     pub expected_error: Option<f64>,
     /// Share of the receivers' light whose shadow was not sought.
     pub left_out_share: f64,

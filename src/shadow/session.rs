@@ -22,7 +22,9 @@ enum Method<'a> {
     Cpu(Box<RadianceTransfer<'a>>),
     Gpu(Box<gpu::RadianceTransfer<'a>>),
     Subtractive(Box<Subtractive<'a>>),
+    SubtractiveGpu(Box<gpu::Subtractive<'a>>),
     Occlusion(Box<PlateShadow<'a>>),
+    OcclusionGpu(Box<gpu::OcclusionTextures<'a>>),
 }
 
 /// A frame of a session.
@@ -39,11 +41,17 @@ impl<'a> Session<'a> {
     pub fn prepare(scene: &Scene<'a>, settings: &Render) -> Result<Self, Problem> {
         let method = match (settings.method, settings.backend) {
             (ShadowMethod::Raytraced, _) => Method::Raytraced,
-            (ShadowMethod::Subtractive, _) => {
+            (ShadowMethod::Subtractive, Backend::Cpu) => {
                 Method::Subtractive(Box::new(Subtractive::prepare(scene, settings)?))
             }
-            (ShadowMethod::OcclusionTextures, _) => {
+            (ShadowMethod::Subtractive, Backend::Gpu) => {
+                Method::SubtractiveGpu(Box::new(gpu::Subtractive::prepare(scene, settings)?))
+            }
+            (ShadowMethod::OcclusionTextures, Backend::Cpu) => {
                 Method::Occlusion(Box::new(PlateShadow::prepare(scene, settings)?))
+            }
+            (ShadowMethod::OcclusionTextures, Backend::Gpu) => {
+                Method::OcclusionGpu(Box::new(gpu::OcclusionTextures::prepare(scene, settings)?))
             }
             // Codes are subtracted on the CPU alone.
             (ShadowMethod::RadianceTransfer, Backend::Cpu) | (ShadowMethod::RadianceTransferLdr, _) => {
@@ -64,7 +72,9 @@ impl<'a> Session<'a> {
         let removed = match &mut self.method {
             Method::Raytraced => raytraced(&self.scene, occluder, settings)?,
             Method::Subtractive(method) => method.frame(occluder)?,
+            Method::SubtractiveGpu(method) => method.removed_radiance(occluder)?,
             Method::Occlusion(method) => method.frame(occluder)?,
+            Method::OcclusionGpu(method) => method.removed_radiance(occluder)?,
             Method::Cpu(method) => {
                 occluder.check()?;
                 let outlook = method.outlook(occluder);

@@ -27,7 +27,7 @@ impl<const N: usize> ShadowBuffer<N> {
         find: impl Fn(&[Surface]) -> Vec<[f32; N]> + Sync,
     ) -> Self {
         let side = side.max(1);
-        let (columns, rows) = (surfaces.width().div_ceil(side), surfaces.height().div_ceil(side));
+        let (columns, rows) = grid(surfaces, side);
         let across = columns.div_ceil(GROUP);
         let groups: Vec<Vec<(usize, Surface, [f32; N])>> = (0..across * rows.div_ceil(GROUP))
             .into_par_iter()
@@ -124,6 +124,17 @@ impl<const N: usize> ShadowBuffer<N> {
             .collect();
         Image::from_pixels(width, height, rows.into_iter().flatten().collect())
     }
+}
+
+/// Columns and rows of samples.
+pub(crate) fn grid(surfaces: &Image<Option<Surface>>, side: usize) -> (usize, usize) {
+    (surfaces.width().div_ceil(side), surfaces.height().div_ceil(side))
+}
+
+/// The surfaces at which samples are found, row by row.
+pub(crate) fn sampled(surfaces: &Image<Option<Surface>>, side: usize) -> Vec<Option<Surface>> {
+    let (columns, rows) = grid(surfaces, side);
+    (0..columns * rows).into_par_iter().map(|i| middle(surfaces, side, i % columns, i / columns)).collect()
 }
 
 /// The surface that stands for a square of pixels.

@@ -1,8 +1,7 @@
 //! The radiance cache (decoro2008, §3.1; Miller and Hoffman 1984): what a material sends towards a distant viewer, by
 //! normal, as a texture.
 
-use super::Brdf;
-use crate::illuminate::patch::DistantSource;
+use super::{Brdf, Light};
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -12,7 +11,7 @@ const SIDE: usize = 128;
 /// Radiance by normal, for one material, one view direction and one set of lights.
 #[derive(Debug, Clone, Default)]
 pub struct RadianceCache {
-    made_for: Option<(Brdf, Vec3, Vec<DistantSource>)>,
+    made_for: Option<(Brdf, Vec3, Vec<Light>)>,
     /// Axes of the texture; the last one points to the viewer.
     axes: [Vec3; 3],
     texels: Vec<[f32; 3]>,
@@ -20,8 +19,8 @@ pub struct RadianceCache {
 
 impl RadianceCache {
     /// Makes the cache for a unit vector towards the viewer, or keeps it where nothing changed; says whether it was made.
-    /// Its light is that of all `lights`: many of them stand for a whole environment.
-    pub fn update(&mut self, brdf: Brdf, viewer: Vec3, lights: &[DistantSource]) -> bool {
+    /// Its light is that of all `lights`, taken as distant and spread as they are: many of them stand for a whole environment.
+    pub fn update(&mut self, brdf: Brdf, viewer: Vec3, lights: &[Light]) -> bool {
         if let Some((b, v, l)) = &self.made_for
             && (*b, *v, l.as_slice()) == (brdf, viewer, lights)
         {
@@ -30,17 +29,21 @@ impl RadianceCache {
         let (a, b) = viewer.any_orthonormal_pair();
         self.axes = [a, b, viewer];
         let axes = self.axes;
+        let spread: Vec<_> = lights
+            .iter()
+            .map(|light| (light.seen_from(Vec3::ZERO).0, brdf.widened(light.extent_sr), light.power))
+            .collect();
         let texel = |i: usize| {
             let normal = from_square(
                 [(i % SIDE) as f32, (i / SIDE) as f32].map(|t| 2.0 * t / (SIDE - 1) as f32 - 1.0),
             );
             let normal = axes[0] * normal.x + axes[1] * normal.y + axes[2] * normal.z;
             let mut sum = [0.0f32; 3];
-            for light in lights {
-                let cos = normal.dot(light.direction);
+            for (direction, brdf, power) in &spread {
+                let cos = normal.dot(*direction);
                 if cos > 0.0 {
-                    let weight = brdf.value(normal, light.direction, viewer) * cos * light.solid_angle_sr;
-                    (0..3).for_each(|k| sum[k] += weight * light.radiance[k]);
+                    let weight = brdf.value(normal, *direction, viewer) * cos;
+                    (0..3).for_each(|k| sum[k] += weight * power[k]);
                 }
             }
             sum
@@ -84,17 +87,18 @@ fn to_square(n: Vec3) -> [f32; 2] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::illuminate::patch::DistantSource;
     use proptest::prelude::*;
 
     const GLOSSY: Brdf = Brdf::TorranceSparrow { roughness: 0.25, normal_reflectance: 0.3 };
 
-    fn lights() -> Vec<DistantSource> {
+    fn lights() -> Vec<Light> {
         let light = |i: i32| DistantSource {
             direction: Vec3::new((i as f32).sin(), (1.7 * i as f32).cos(), 0.5).normalize(),
             solid_angle_sr: 0.1,
             radiance: [1.0 + i as f32, 2.0, 0.5],
         };
-        (0..12).map(light).collect()
+        (0..12).map(|i| Light::distant(&light(i)).as_point()).collect()
     }
 
     proptest! {
@@ -112,9 +116,9 @@ mod tests {
             cache.update(GLOSSY, viewer, &lights());
             let found = cache.radiance(normal, viewer);
             for (k, found) in found.into_iter().enumerate() {
-                let sent = |l: &DistantSource| {
-                    GLOSSY.value(normal, l.direction, viewer) * normal.dot(l.direction).max(0.0)
-                        * l.solid_angle_sr * l.radiance[k]
+                let sent = |l: &Light| {
+                    let direction = l.seen_from(Vec3::ZERO).0;
+                    GLOSSY.value(normal, direction, viewer) * normal.dot(direction).max(0.0) * l.power[k]
                 };
                 let exact: f32 = lights().iter().map(sent).sum();
                 prop_assert!((found - exact).abs() < 0.02 * exact + 0.02, "{} {}", found, exact);
@@ -130,7 +134,7 @@ mod tests {
         assert!(!cache.update(GLOSSY, Vec3::Z, &lights));
         assert!(cache.update(Brdf::Phong { exponent: 20.0 }, Vec3::Z, &lights));
         assert!(cache.update(GLOSSY, Vec3::Z, &lights) && cache.update(GLOSSY, Vec3::X, &lights));
-        lights[3].radiance[1] *= 1.1;
+        lights[3].power[1] *= 1.1;
         assert!(cache.update(GLOSSY, Vec3::X, &lights));
     }
 }

@@ -46,6 +46,13 @@ pub fn gather(
 }
 
 impl Sent {
+    /// What is left where so much is hidden, each part at least 0: a gloss of which more is hidden than there is must not take
+    /// diffuse light with it.
+    pub fn less(&self, hidden: &Self) -> Self {
+        let less = |open: [f32; 3], hidden: [f32; 3]| [0, 1, 2].map(|k| (open[k] - hidden[k]).max(0.0));
+        Self { irradiance: less(self.irradiance, hidden.irradiance), gloss: less(self.gloss, hidden.gloss) }
+    }
+
     /// Irradiance, then gloss, as an entry of a [`super::ShadowBuffer`].
     pub fn to_array(self) -> [f32; 6] {
         let ([a, b, c], [d, e, f]) = (self.irradiance, self.gloss);

@@ -119,6 +119,12 @@ impl Light {
         light
     }
 
+    /// Of a light on the model's surfaces: the normal of its surface, what its strength is over at the environment's
+    /// place, and A/π of its stratum, m².
+    pub(crate) fn patch(&self) -> Option<(Vec3, f32, f32)> {
+        self.near.map(|near| (near.normal, near.reference, near.spread))
+    }
+
     /// Unit direction towards the light at a position (m), and its irradiance there over `power`.
     pub fn seen_from(&self, position: Vec3) -> (Vec3, f32) {
         let (origin, near) = match (self.origin, self.near) {

@@ -25,6 +25,7 @@ mod surface;
 
 pub use brdf::Brdf;
 pub use buffer::ShadowBuffer;
+pub(crate) use buffer::{grid, sampled};
 pub use cache::RadianceCache;
 pub use casters::Casters;
 pub use detail::{Detail, Pace};
@@ -34,4 +35,5 @@ pub(crate) use lights::sample;
 pub use local::Unshadowed;
 pub(crate) use object::render_object;
 pub use plate::Subtractive;
+pub(crate) use plate::{expected_error, half, removed};
 pub use surface::Surface;

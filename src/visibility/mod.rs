@@ -3,6 +3,7 @@
 use glam::Vec3;
 use obvhs::{
     BvhBuildParams,
+    bvh2::builder::build_bvh2_from_tris,
     cwbvh::{CwBvh, builder::build_cwbvh_from_tris},
     ray::Ray,
     triangle::Triangle,
@@ -34,14 +35,7 @@ pub struct Bvh {
 impl Bvh {
     /// Builds over indexed triangles. An empty set is hit by no ray.
     pub fn new(vertices: &[Vec3], triangles: &[[u32; 3]]) -> Self {
-        let triangles: Vec<_> = triangles
-            .iter()
-            .map(|t| Triangle {
-                v0: vertices[t[0] as usize].into(),
-                v1: vertices[t[1] as usize].into(),
-                v2: vertices[t[2] as usize].into(),
-            })
-            .collect();
+        let triangles = corners(vertices, triangles);
         let bvh = build_cwbvh_from_tris(&triangles, BvhBuildParams::medium_build(), &mut Duration::default());
         Self { bvh, triangles }
     }
@@ -95,6 +89,66 @@ impl Bvh {
         let v = (a - c).cross(p - c).dot(n) / area;
         [u, v, 1.0 - u - v]
     }
+}
+
+/// A hierarchy with two nodes below each, as the graphics processor walks it.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct BinaryBvh {
+    /// The first is the root; none where there are no triangles.
+    pub nodes: Vec<BinaryNode>,
+    /// In the order in which leaves name them.
+    pub triangles: Vec<[Vec3; 3]>,
+}
+
+/// A box around what lies below.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct BinaryNode {
+    pub low: Vec3,
+    pub high: Vec3,
+    /// Of triangles; 0: two nodes lie below.
+    pub count: u32,
+    /// Of its triangles, or of the two nodes.
+    pub first: u32,
+}
+
+impl BinaryBvh {
+    /// Builds over indexed triangles.
+    pub fn new(vertices: &[Vec3], triangles: &[[u32; 3]]) -> Self {
+        let triangles = corners(vertices, triangles);
+        if triangles.is_empty() {
+            return Self::default();
+        }
+        let bvh = build_bvh2_from_tris(&triangles, BvhBuildParams::medium_build(), &mut Duration::default());
+        let nodes = bvh.nodes.iter().map(|node| BinaryNode {
+            low: node.aabb.min.into(),
+            high: node.aabb.max.into(),
+            count: node.prim_count,
+            first: node.first_index,
+        });
+        let ordered = bvh.primitive_indices.iter().map(|&i| {
+            let t = &triangles[i as usize];
+            [t.v0, t.v1, t.v2].map(Vec3::from)
+        });
+        Self { nodes: nodes.collect(), triangles: ordered.collect() }
+    }
+
+    /// Most nodes from the root to a leaf.
+    pub fn depth(&self) -> usize {
+        let (mut deepest, mut waiting) = (0, vec![(0, 1)]);
+        while let Some((node, depth)) = waiting.pop() {
+            let Some(node) = self.nodes.get(node) else { continue };
+            deepest = deepest.max(depth);
+            if node.count == 0 {
+                waiting.extend([0, 1].map(|i| (node.first as usize + i, depth + 1)));
+            }
+        }
+        deepest
+    }
+}
+
+fn corners(vertices: &[Vec3], triangles: &[[u32; 3]]) -> Vec<Triangle> {
+    let corner = |v: u32| vertices[v as usize].into();
+    triangles.iter().map(|t| Triangle { v0: corner(t[0]), v1: corner(t[1]), v2: corner(t[2]) }).collect()
 }
 
 #[cfg(test)]

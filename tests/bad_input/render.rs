@@ -1,7 +1,7 @@
 //! The object: stage `render`.
 
 use super::cases::{case, check};
-use super::spoil::Spoil::*;
+use super::spoil::Spoil::{self, *};
 
 #[test]
 fn objects_are_checked() {
@@ -130,6 +130,32 @@ object = "o.glb"
             1,
             "placing the object in the scene: object outside the view: it spans x #..# px, y #..# px, the plate is 640×480 px",
             "check `render.position_m` (metres in the grid's frame), `render.scale` and `render.y_up`",
+        ),
+    ]);
+}
+
+#[test]
+fn light_without_a_rectangle_is_sent_to_another_method() {
+    const CPU: Spoil = Set("[render]\nmethod = \"occlusion-textures\"\n");
+    const GPU: Spoil = Set("[render]\nmethod = \"occlusion-textures\"\nbackend = \"gpu\"\n");
+    let hint = "set render.method to \"radiance-transfer\", which takes light of any shape, or give rectangles as \
+                render.area_lights";
+    let refused = "preparing the shadow method: the scene has no rectangular light: # bright patches, of a rectangle's \
+                   shape to # at best";
+    check(&[
+        case("no rectangular light", &[EvenLight, CPU], "render", 1, refused, hint),
+        case("none on the graphics processor", &[EvenLight, GPU], "render", 1, refused, hint),
+        case(
+            "a given rectangle that is none",
+            &[Set(concat!(
+                "[render]\nmethod = \"occlusion-textures\"\narea_lights = [{ corner_m = [0, 0, 2], side_u_m = [1, 0, 0], ",
+                "side_v_m = [1, 0, 0], radiance = [1, 1, 1] }]\n"
+            ))],
+            "render",
+            1,
+            "preparing the shadow method: area light 0 of the settings has sides that are not at right angles",
+            "give a corner and two sides at right angles, in metres in the grid's frame, and the radiance where the model has \
+             no surface",
         ),
     ]);
 }

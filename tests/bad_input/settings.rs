@@ -85,6 +85,14 @@ method = "raytrace"
             "did you mean `raytraced`?",
         ),
         case(
+            "unknown gloss",
+            &[Set("[render]\ngloss = \"gxx\"\n")],
+            "render",
+            2,
+            "case.toml:3:9: unknown variant `gxx`, expected one of `by-file`, `phong`, `torrance-sparrow`, `ggx`",
+            "did you mean `ggx`?",
+        ),
+        case(
             "extends nothing",
             &[Write("case.toml", "extends = \"base.toml\"\n")],
             "ingest",
@@ -225,6 +233,22 @@ fn numbers_out_of_range_are_refused() {
             2,
             "case.toml:3:1: `render.diffuse` is 1.5",
             "give a number from 0 to 1; without it, it is 0.5, 0.5, 0.5",
+        ),
+        case(
+            "a facet's roughness of 0",
+            &[Set("[render]\nroughness = 0\n")],
+            "render",
+            2,
+            "case.toml:3:1: `render.roughness` is 0",
+            "give a number above 0, at most 1; without it, it is 0.2",
+        ),
+        case(
+            "rougher than rough",
+            &[Set("[render]\nroughness = 1.5\n")],
+            "render",
+            2,
+            "case.toml:3:1: `render.roughness` is 1.5",
+            "give a number above 0, at most 1; without it, it is 0.2",
         ),
         case(
             "one inner corner",

@@ -24,6 +24,8 @@ pub enum Spoil {
     Restore(&'static str, u32, u32),
     /// The camera turned to the left by so many degrees, exactly (a homography).
     Turn(&'static str, f64),
+    /// All patches of the light model of one radiance.
+    EvenLight,
     /// An EXR picture of this size, with NaN at (1, 0) if so said.
     Exr(&'static str, usize, usize, bool),
 }
@@ -55,6 +57,13 @@ impl Spoil {
                 write(folder.join(file), jpeg(&image));
             }
             Self::Turn(start, degrees) => redraw(folder, start, |old| turned(old, degrees.to_radians())),
+            Self::EvenLight => {
+                let illuminate = folder.join("work/illuminate");
+                let mut light = insitu::illuminate::read_light(&illuminate).expect("a light model");
+                light.mesh.patches.iter_mut().for_each(|p| p.radiance = [0.5; 3]);
+                ["patches.ply", "distant.json"].iter().for_each(|f| remove(&illuminate.join(f)));
+                insitu::illuminate::write_light(&illuminate, &light).expect("writing a light model");
+            }
             Self::Exr(file, width, height, nan) => {
                 use insitu::image::{Image, Radiance};
                 let mut image = Image::from_pixels(width, height, vec![Radiance([0.5; 3]); width * height]);

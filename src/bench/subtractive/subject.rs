@@ -2,7 +2,6 @@
 
 use crate::camera::Camera;
 use crate::illuminate::distant::Stratum;
-use crate::illuminate::patch::DistantSource;
 use crate::image::{Image, Radiance, RadianceImage};
 use crate::render::{Environment, Object, Scene, visible};
 use crate::response::Response;
@@ -27,33 +26,46 @@ pub struct Material {
     pub brdf: Brdf,
     pub diffuse: f32,
     pub specular: f32,
+    /// Whether the unshadowed gloss comes from a prefiltered lobe; else from a radiance cache.
+    pub prefiltered: bool,
 }
 
-/// The paper's two, and those whose unshadowed light comes from a radiance cache and from a prefiltered GGX lobe.
-pub const MATERIALS: [Material; 4] = [
+/// The paper's two, and those whose unshadowed light comes from a radiance cache, GGX also by its prefiltered lobe.
+pub const MATERIALS: [Material; 5] = [
     Material {
         name: "Phong, shininess 40",
         brdf: Brdf::Phong { exponent: 40.0 },
         diffuse: 0.3,
         specular: 0.5,
+        prefiltered: true,
     },
     Material {
         name: "Phong, shininess 500",
         brdf: Brdf::Phong { exponent: 500.0 },
         diffuse: 0.3,
         specular: 0.5,
+        prefiltered: true,
     },
     Material {
         name: "Torrance-Sparrow 0.2",
         brdf: Brdf::TorranceSparrow { roughness: 0.2, normal_reflectance: 0.5 },
         diffuse: 0.3,
         specular: 1.0,
+        prefiltered: false,
     },
     Material {
         name: "GGX 0.2",
         brdf: Brdf::Ggx { roughness: 0.2, normal_reflectance: 0.5 },
         diffuse: 0.3,
         specular: 1.0,
+        prefiltered: false,
+    },
+    Material {
+        name: "GGX 0.2, prefiltered",
+        brdf: Brdf::Ggx { roughness: 0.2, normal_reflectance: 0.5 },
+        diffuse: 0.3,
+        specular: 1.0,
+        prefiltered: true,
     },
 ];
 
@@ -137,8 +149,16 @@ impl Subject {
 
     /// What does not depend on the number of shadow-casting lights.
     pub fn unshadowed(&self, environment: &Environment, material: usize, many: &[Stratum]) -> Unshadowed {
-        let many: Vec<DistantSource> = many.iter().map(|stratum| stratum.source).collect();
-        Unshadowed::new(environment, MATERIALS[material].brdf, self.viewer, &many)
+        let Material { brdf, prefiltered, .. } = MATERIALS[material];
+        match brdf {
+            Brdf::Ggx { roughness, normal_reflectance } if prefiltered => {
+                Unshadowed::prefiltered(environment, roughness, normal_reflectance)
+            }
+            _ => {
+                let many: Vec<Light> = many.iter().map(|s| Light::of_stratum(s).as_point()).collect();
+                Unshadowed::new(environment, brdf, self.viewer, &many)
+            }
+        }
     }
 
     /// Unshadowed light less the shadow buffer, one sample in `side`² pixels.
@@ -167,8 +187,7 @@ impl Subject {
                 irradiance: unshadowed.irradiance(surface.normal),
                 gloss: unshadowed.gloss(surface.normal, surface.viewer),
             };
-            let (open, hidden) = (material.reflect(&open), material.reflect(&Sent::from_array(*hidden)));
-            [0, 1, 2].map(|k| (open[k] - hidden[k]).max(0.0))
+            material.reflect(&open.less(&Sent::from_array(*hidden)))
         };
         let pixels = self.surfaces.pixels().par_iter().zip(buffer.pixels()).map(shade).collect();
         Shot { picture: self.picture(pixels), ms: started.elapsed().as_secs_f64() * 1e3 }
