@@ -294,6 +294,9 @@ pub enum ShadowMethod {
     Subtractive,
     /// Prefiltered slices before rectangular lights (eisemann2006); on the CPU whatever the back end.
     OcclusionTextures,
+    /// A light for each texel of a coarse cube map of the environment at the object's place (supan2006); on the CPU
+    /// whatever the back end.
+    LightDome,
 }
 
 /// How the method `occlusion-textures` prefilters its textures.
@@ -447,6 +450,14 @@ settings! {
         combination: Combination = Combination::Product,
         /// Slices are projected on the next one too: thin surfaces leak less, penumbrae of others grow too dark.
         close_leaks: bool = false,
+        /// Lights of the method `light-dome` along an edge of each face of the cube: 4 or 8 in the paper; a power of two.
+        dome_texels: usize = 8,
+        /// They stand at the centroid of their texel's brightness instead of in its middle.
+        dome_centroid: bool = true,
+        /// So many texels, those whose light stands worst first, are split into four.
+        dome_splits: usize = 16,
+        /// The lights stand at infinity, as in the paper, and not where the scene model is seen.
+        dome_at_infinity: bool = false,
         /// Seed of all random choices.
         seed: u64 = 1,
     }

@@ -51,6 +51,7 @@ pub mod camera;
 pub mod cli;
 pub mod composite;
 pub mod config;
+pub mod dome;
 pub mod driver;
 pub mod error;
 pub mod evaluate;

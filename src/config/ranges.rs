@@ -93,6 +93,8 @@ const RANGES: &[(&str, &str, Range)] = &[
     ("render", "pixels_per_sample", From(1.0, 1024.0)),
     ("render", "slices", From(1.0, 16.0)),
     ("render", "occlusion_px", From(16.0, 4096.0)),
+    ("render", "dome_texels", From(1.0, 32.0)),
+    ("render", "dome_splits", From(0.0, 1000.0)),
     ("composite", "exposure_ev", From(-30.0, 30.0)),
 ];
 

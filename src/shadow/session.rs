@@ -4,6 +4,7 @@
 use super::plan::Outlook;
 use super::{Occluder, Problem, RadianceTransfer, Removed, Scene, raytraced};
 use crate::config::{Backend, Render, ShadowMethod};
+use crate::dome::LightDome;
 use crate::gpu;
 use crate::occlusion::PlateShadow;
 use crate::subtractive::Subtractive;
@@ -23,6 +24,7 @@ enum Method<'a> {
     Gpu(Box<gpu::RadianceTransfer<'a>>),
     Subtractive(Box<Subtractive<'a>>),
     Occlusion(Box<PlateShadow<'a>>),
+    Dome(Box<LightDome<'a>>),
 }
 
 /// A frame of a session.
@@ -45,6 +47,7 @@ impl<'a> Session<'a> {
             (ShadowMethod::OcclusionTextures, _) => {
                 Method::Occlusion(Box::new(PlateShadow::prepare(scene, settings)?))
             }
+            (ShadowMethod::LightDome, _) => Method::Dome(Box::new(LightDome::prepare(scene, settings)?)),
             // Codes are subtracted on the CPU alone.
             (ShadowMethod::RadianceTransfer, Backend::Cpu) | (ShadowMethod::RadianceTransferLdr, _) => {
                 Method::Cpu(Box::new(RadianceTransfer::prepare(scene, settings)?))
@@ -65,6 +68,7 @@ impl<'a> Session<'a> {
             Method::Raytraced => raytraced(&self.scene, occluder, settings)?,
             Method::Subtractive(method) => method.frame(occluder)?,
             Method::Occlusion(method) => method.frame(occluder)?,
+            Method::Dome(method) => method.frame(occluder)?,
             Method::Cpu(method) => {
                 occluder.check()?;
                 let outlook = method.outlook(occluder);

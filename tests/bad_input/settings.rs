@@ -81,7 +81,7 @@ method = "raytrace"
 "#)],
             "render",
             2,
-            "case.toml:3:10: unknown variant `raytrace`, expected one of `raytraced`, `radiance-transfer`, `radiance-transfer-ldr`, `subtractive`, `occlusion-textures`",
+            "case.toml:3:10: unknown variant `raytrace`, expected one of `raytraced`, `radiance-transfer`, `radiance-transfer-ldr`, `subtractive`, `occlusion-textures`, `light-dome`",
             "did you mean `raytraced`?",
         ),
         case(
