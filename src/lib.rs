@@ -61,6 +61,7 @@ pub mod illuminate;
 pub mod image;
 pub mod irradiance;
 pub mod least_squares;
+pub mod live;
 pub mod merge;
 pub mod model;
 pub mod occlusion;

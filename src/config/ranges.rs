@@ -95,6 +95,16 @@ const RANGES: &[(&str, &str, Range)] = &[
     ("render", "occlusion_px", From(16.0, 4096.0)),
     ("render", "dome_texels", From(1.0, 32.0)),
     ("render", "dome_splits", From(0.0, 1000.0)),
+    ("live", "frames_per_second", Above(0.0, 1000.0)),
+    ("live", "most_frames", From(0.0, 1e9)),
+    ("live", "focal_px", From(0.0, 1e5)),
+    ("live", "principal_point_px", From(0.0, 1e5)),
+    ("live", "distortion", From(-100.0, 100.0)),
+    ("live", "paper", Above(0.0, 1.0)),
+    ("live", "hold_frames", From(0.0, 1e6)),
+    ("live", "fade_frames", From(0.0, 1e6)),
+    ("live", "ball_centre_m", From(-1000.0, 1000.0)),
+    ("live", "maps_per_frame", From(0.0, 1e5)),
     ("composite", "exposure_ev", From(-30.0, 30.0)),
 ];
 

@@ -76,7 +76,7 @@ impl CubeMap {
                 let row = y * parts + t;
                 let solid_angle = latlong::texel_solid_angle(row, w * parts, h * parts);
                 for s in 0..parts {
-                    let at = |k: usize, i: usize| (k as f32 + (i as f32 + 0.5) / parts as f32);
+                    let at = |k: usize, i: usize| k as f32 + (i as f32 + 0.5) / parts as f32;
                     sums.add(latlong::direction(at(x, s), at(y, t), w, h), radiance.0, solid_angle);
                 }
             }
@@ -92,11 +92,6 @@ impl CubeMap {
     /// All texels, face by face, row by row.
     pub fn texels(&self) -> &[Radiance] {
         &self.texels
-    }
-
-    /// Radiance of a texel.
-    pub fn at(&self, face: usize, x: usize, y: usize) -> [f32; 3] {
-        self.texels[(face * self.side + y) * self.side + x].0
     }
 
     /// Unit direction and solid angle (sr) of texel `i`.
@@ -162,8 +157,14 @@ impl CubeMap {
         sum
     }
 
-    fn nearest(&self, direction: Vec3) -> [f32; 3] {
-        self.texels[index(direction, self.side)].0
+    /// Radiance of the texel that holds a direction.
+    pub fn nearest(&self, direction: Vec3) -> [f32; 3] {
+        self.texels[self.index(direction)].0
+    }
+
+    /// The texel that holds a direction.
+    pub fn index(&self, direction: Vec3) -> usize {
+        index(direction, self.side)
     }
 }
 

@@ -60,6 +60,18 @@ pub struct Fisheye {
     pub world_from_camera: Mat3,
 }
 
+impl Fisheye {
+    /// Unit direction seen at a place of the picture (px), nothing outside its field.
+    pub fn direction(&self, x: f64, y: f64) -> Option<Vec3> {
+        let [x, y] = [(x - self.centre_px[0]) / self.focal_px, (y - self.centre_px[1]) / self.focal_px];
+        let angle = x.hypot(y);
+        let (sin, cos) = angle.sin_cos();
+        let across = if angle > 1e-12 { sin / angle } else { 1.0 };
+        let seen = Vec3::new((x * across) as f32, (y * across) as f32, cos as f32);
+        (angle < self.half_field).then(|| self.world_from_camera * seen)
+    }
+}
+
 /// A part of a pixel and what it shows.
 struct Part {
     pixel: u32,
@@ -112,16 +124,7 @@ impl SphereMap {
 
     /// Of a fisheye's picture of a size, px.
     pub fn of_fisheye(lens: &Fisheye, size: (usize, usize)) -> Self {
-        let [cx, cy] = lens.centre_px;
-        let show = |pixel: Point2<f64>| {
-            let (x, y) = ((pixel.x - cx) / lens.focal_px, (pixel.y - cy) / lens.focal_px);
-            let angle = x.hypot(y);
-            let (sin, cos) = angle.sin_cos();
-            let across = if angle > 1e-12 { sin / angle } else { 1.0 };
-            let seen = Vec3::new((x * across) as f32, (y * across) as f32, cos as f32);
-            (angle < lens.half_field).then(|| lens.world_from_camera * seen)
-        };
-        Self::new(size, [0.0; 2], [size.0 as f64, size.1 as f64], show)
+        Self::new(size, [0.0; 2], [size.0 as f64, size.1 as f64], |p| lens.direction(p.x, p.y))
     }
 
     fn new(
@@ -231,14 +234,14 @@ mod tests {
             focal_px: 60.0,
             centre_px: [100.0; 2],
             half_field: 1.57,
-            world_from_camera: Mat3::from_cols(Vec3::X, Vec3::Z, Vec3::Y),
+            world_from_camera: Mat3::from_cols(Vec3::NEG_X, Vec3::Z, Vec3::Y),
         };
         let map = SphereMap::of_fisheye(&lens, (200, 200));
         let picture = Image::from_fn(200, 200, |x, y| {
             let (dx, dy) = ((x as f64 - 99.5) / 60.0, (y as f64 - 99.5) / 60.0);
             let angle = dx.hypot(dy).max(1e-9);
             let across = angle.sin() / angle;
-            Radiance(sky(nalgebra::Vector3::new(dx * across, angle.cos(), dy * across)))
+            Radiance(sky(nalgebra::Vector3::new(-dx * across, angle.cos(), dy * across)))
         });
         let seen = map.environment(&picture, &Image::from_fn(200, 200, |_, _| false), 32);
         let up = [0, 1, 2].map(|k| seen.cube.irradiance(Vec3::Y)[k]);

@@ -35,3 +35,4 @@ pub use local::Unshadowed;
 pub(crate) use object::render_object;
 pub use plate::Subtractive;
 pub use surface::Surface;
+pub(crate) use surface::pixel_angle;
