@@ -617,13 +617,17 @@ settings! {
         fade_frames: usize = 12,
         /// Middle of the mirror ball, grid frame, m.
         ball_centre_m: [f64; 3] = [0.0; 3],
+        /// How far what shines is from the ball, about, m; 0: at infinity, as in the paper.
+        environment_distance_m: f32 = 0.0,
         /// Flat parts of the scene that receive the shadow and hide the object.
         planes: Vec<PhantomPlane> = Vec::new(),
         /// Boxes that do.
         boxes: Vec<PhantomBox> = Vec::new(),
         /// Scene model (`scene.json`) whose faces do, relative to the settings.
         scene: Option<PathBuf> = None,
+        /// Only the strongest lights cast shadows, so many of them.
+        most_lights: Option<usize> = None,
         /// Shadow maps drawn in a frame, 0 for all.
-        maps_per_frame: usize = 4,
+        maps_per_frame: usize = 16,
     }
 }

@@ -104,6 +104,8 @@ const RANGES: &[(&str, &str, Range)] = &[
     ("live", "hold_frames", From(0.0, 1e6)),
     ("live", "fade_frames", From(0.0, 1e6)),
     ("live", "ball_centre_m", From(-1000.0, 1000.0)),
+    ("live", "environment_distance_m", From(0.0, 1e5)),
+    ("live", "most_lights", From(0.0, 1e5)),
     ("live", "maps_per_frame", From(0.0, 1e5)),
     ("composite", "exposure_ev", From(-30.0, 30.0)),
 ];

@@ -4,6 +4,7 @@
 use super::cube::{CubeMap, FACES, solid_angle, weight};
 use crate::illuminate::distant::Stratum;
 use crate::illuminate::patch::DistantSource;
+use crate::image::luminance;
 use glam::{DVec3, Vec3};
 use std::collections::BTreeSet;
 use std::f64::consts::PI;
@@ -89,6 +90,25 @@ pub fn lights(environment: &CubeMap, layout: Layout, kept: &mut BTreeSet<Cell>) 
 /// Leaves out the lights below the horizon of all receivers, given by their unit normals.
 pub fn above(lights: Vec<DomeLight>, normals: &[Vec3]) -> Vec<DomeLight> {
     lights.into_iter().filter(|l| normals.iter().any(|n| n.dot(l.source.direction) > 0.0)).collect()
+}
+
+/// Irradiance of lights on a surface of unit normal.
+pub fn irradiance(lights: &[DomeLight], normal: Vec3) -> [f32; 3] {
+    let mut sum = [0.0; 3];
+    for light in lights {
+        let (cos, power) = (normal.dot(light.source.direction).max(0.0), light.power());
+        (0..3).for_each(|k| sum[k] += cos * power[k]);
+    }
+    sum
+}
+
+/// The `count` lights that send most, in the order of their cells.
+pub fn strongest(mut lights: Vec<DomeLight>, count: usize) -> Vec<DomeLight> {
+    let sent = |l: &DomeLight| luminance(l.power());
+    lights.sort_by(|a, b| sent(b).total_cmp(&sent(a)));
+    lights.truncate(count);
+    lights.sort_by_key(|l| l.cell);
+    lights
 }
 
 impl Cell {

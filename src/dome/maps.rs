@@ -7,7 +7,7 @@
 
 use super::lights::{Cell, DomeLight};
 use crate::image::luminance;
-use crate::shadow::{Bounds, MapPlan, Occluder, ShadowMap, ShadowOrigin, rasterise};
+use crate::shadow::{Bounds, DistantLookup, MapPlan, Occluder, ShadowMap, ShadowOrigin, rasterise};
 use crate::subtractive::Surface;
 use glam::{Quat, Vec3};
 use rayon::prelude::*;
@@ -133,54 +133,58 @@ impl DomeMaps {
         self.slots.iter().map(|s| self.drawings - s.drawing.min(self.drawings)).max().unwrap_or(0)
     }
 
-    /// Irradiance of all lights on a surface of unit normal.
-    pub fn irradiance(&self, normal: Vec3) -> [f32; 3] {
-        let mut sum = [0.0; 3];
-        for light in self.lights() {
-            let (cos, power) = (normal.dot(light.source.direction).max(0.0), light.power());
-            (0..3).for_each(|k| sum[k] += cos * power[k]);
-        }
-        sum
-    }
-
     /// The shadow buffer R = Σ C N·L (1 − S) (eq. 3) of neighbouring surfaces.
     pub fn shadow_buffer(&self, surfaces: &[Surface]) -> Vec<[f32; 3]> {
-        self.hidden(surfaces, 0.0)
-    }
-
-    /// The same of the object's own surfaces, looked up a texel above, so that hollows do not hide themselves.
-    pub fn own_shadow_buffer(&self, surfaces: &[Surface]) -> Vec<[f32; 3]> {
-        let radius = self.bounds.map_or(0.0, |b| b.radius);
-        self.hidden(surfaces, 2.0 * radius / self.size.max(1) as f32)
-    }
-
-    fn hidden(&self, surfaces: &[Surface], lift_m: f32) -> Vec<[f32; 3]> {
         let Some(first) = surfaces.first() else { return Vec::new() };
         let low = surfaces.iter().fold(first.position, |a, s| a.min(s.position));
         let high = surfaces.iter().fold(first.position, |a, s| a.max(s.position));
-        let (centre, radius) = ((low + high) / 2.0, low.distance(high) / 2.0 + lift_m);
+        let (centre, radius) = ((low + high) / 2.0, low.distance(high) / 2.0);
         // Where the object was when the map was drawn, a point stood as it stands to the object now.
         let then = |slot: &Slot| slot.drawn.pose.anchor - self.pose.anchor;
-        let near: Vec<(&Slot, &ShadowMap)> = self
-            .slots
-            .iter()
-            .filter(|s| s.drawn.plan.may_shadow(centre + then(s), radius))
-            .filter_map(|s| Some((s, s.drawn.map.as_ref()?)))
-            .collect();
-        let sum = |surface: &Surface| {
-            let mut sum = [0.0; 3];
-            for (slot, map) in &near {
-                let cos = surface.normal.dot(slot.light.source.direction);
-                let lit = surface.face_normal.dot(slot.light.source.direction) > 0.0;
-                let from = surface.position + surface.face_normal * lift_m + then(slot);
-                if cos > 0.0 && lit && map.blocked(from, surface.face_normal) {
-                    let power = slot.light.power();
+        let mut sums = vec![[0.0; 3]; surfaces.len()];
+        for slot in self.slots.iter().filter(|s| s.drawn.plan.may_shadow(centre + then(s), radius)) {
+            let Some(map) = &slot.drawn.map else { continue };
+            let (direction, power) = (slot.light.source.direction, slot.light.power());
+            // Neighbours mostly have one normal.
+            let mut lookup: Option<(Vec3, DistantLookup)> = None;
+            for (surface, sum) in surfaces.iter().zip(&mut sums) {
+                let cos = surface.normal.dot(direction);
+                if cos <= 0.0 {
+                    continue;
+                }
+                let on = match &lookup {
+                    Some((normal, on)) if *normal == surface.normal => on,
+                    _ => &lookup.insert((surface.normal, DistantLookup::new(map, surface.normal, then(slot)))).1,
+                };
+                if on.blocked(surface.position) {
                     (0..3).for_each(|k| sum[k] += cos * power[k]);
                 }
             }
-            sum
-        };
-        surfaces.iter().map(sum).collect()
+        }
+        sums
+    }
+
+    /// The same of a surface of the object: looked up where it was when the map was drawn, turned with the object, and a texel
+    /// above, so that hollows do not hide themselves.
+    pub fn own_shadow_buffer(&self, surface: &Surface) -> [f32; 3] {
+        let lift_m = self.bounds.map_or(0.0, |b| 2.0 * b.radius / self.size.max(1) as f32);
+        let from = surface.position + surface.face_normal * lift_m - self.pose.anchor;
+        let mut sum = [0.0; 3];
+        for Slot { light, drawn, .. } in &self.slots {
+            let cos = surface.normal.dot(light.source.direction);
+            let Some(map) = drawn.map.as_ref().filter(|_| cos > 0.0) else { continue };
+            let turn = drawn.pose.turn * self.pose.turn.inverse();
+            let face = turn * surface.face_normal;
+            // Where smooth normals differ from the triangle's, its edges would show.
+            if face.dot(drawn.direction) <= 0.0 {
+                continue;
+            }
+            if DistantLookup::new(map, face, Vec3::ZERO).blocked(turn * from + drawn.pose.anchor) {
+                let power = light.power();
+                (0..3).for_each(|k| sum[k] += cos * power[k]);
+            }
+        }
+        sum
     }
 }
 
@@ -198,7 +202,7 @@ fn carried(before: &[Slot], light: &DomeLight) -> Slot {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{CubeMap, Layout, lights};
+    use super::super::{CubeMap, Layout, irradiance, lights};
     use super::*;
     use crate::synthetic::cuboid;
     use proptest::prelude::*;
@@ -227,7 +231,7 @@ mod tests {
         // A lid that hides the whole sky.
         let lid = cuboid(Vec3::Y * 0.01, Vec3::new(5.0, 0.001, 5.0));
         maps.update(&lights, &lid, at(Vec3::ZERO));
-        let (gone, all) = (maps.shadow_buffer(&[floor(0.0, 0.0)])[0], maps.irradiance(Vec3::Y));
+        let (gone, all) = (maps.shadow_buffer(&[floor(0.0, 0.0)])[0], irradiance(&lights, Vec3::Y));
         assert!(all[0] > 0.0 && (0..3).all(|k| (gone[k] - all[k]).abs() <= 1e-6 * all[k]), "{gone:?} {all:?}");
         let crumb = cuboid(Vec3::new(9.0, 9.0, 9.0), Vec3::splat(1e-3));
         maps.update(&lights, &crumb, at(Vec3::new(9.0, 9.0, 9.0)));
@@ -278,6 +282,23 @@ mod tests {
             maps.update(&lit, &object, at(Vec3::ZERO));
         }
         assert!(maps.slots.iter().all(|s| s.drawing > first), "every map was drawn");
+    }
+
+    #[test]
+    fn a_turned_object_does_not_fall_into_its_old_shadow() {
+        let sky = dome(|d| [1.0 + d.y, 1.0, 1.0]);
+        let object = cuboid(Vec3::Y * 0.2, Vec3::new(0.3, 0.1, 0.05));
+        let mut maps = DomeMaps::new(128, 1);
+        maps.update(&sky, &object, at(Vec3::Y * 0.2));
+        let turn = Quat::from_rotation_y(0.8);
+        let mut turned = object.clone();
+        turned.vertices.iter_mut().for_each(|v| *v = turn * *v);
+        maps.update(&sky, &turned, Pose { anchor: Vec3::Y * 0.2, turn });
+        for (place, normal) in [(Vec3::new(0.25, 0.3, 0.0), Vec3::Y), (Vec3::new(-0.2, 0.2, 0.05), Vec3::Z)] {
+            let (position, normal) = (turn * place, turn * normal);
+            let own = Surface { position, normal, face_normal: normal, ..floor(0.0, 0.0) };
+            assert_eq!(maps.own_shadow_buffer(&own), [0.0; 3], "{place}");
+        }
     }
 
     proptest! {

@@ -18,7 +18,7 @@ mod plate;
 mod sphere_map;
 
 pub use cube::{CubeMap, Sums};
-pub use lights::{Cell, DomeLight, Layout, above, lights};
+pub use lights::{Cell, DomeLight, Layout, above, irradiance, lights, strongest};
 pub use maps::{DomeMaps, Pose, bound};
 pub(crate) use object::render_object;
 pub use plate::LightDome;

@@ -82,22 +82,53 @@ impl Source {
     }
 }
 
-/// Runs until the frames end.
-pub fn live(settings: &Path, printer: &Printer) -> Result<()> {
-    let workspace = Workspace::open(settings)?;
+/// The frames of both cameras.
+pub(crate) struct Film {
+    frames: Source,
+    others: Option<Source>,
+    other: Option<CodeImage>,
+    rate: f64,
+}
+
+impl Film {
+    /// Of the settings.
+    pub fn open(workspace: &Workspace) -> Result<Self> {
+        let (live, base) = (&workspace.pipeline.live, &workspace.base);
+        let frames = Source::open(&live.frames, base)?;
+        let others = match (&live.environment, live.setup) {
+            (Some(environment), Setup::TwoCameras | Setup::Fisheye) => {
+                Some(Source::open(&environment.frames, base)?)
+            }
+            _ => None,
+        };
+        let rate = frames.frames_per_second().unwrap_or(live.frames_per_second);
+        Ok(Self { frames, others, other: None, rate })
+    }
+
+    /// The next frame, with the second camera's where there is one. That one's last frame stays.
+    pub fn next(&mut self) -> Result<Option<(CodeImage, Option<CodeImage>)>> {
+        let Some(frame) = self.frames.frame()? else { return Ok(None) };
+        if let Some(source) = &mut self.others {
+            match source.frame()? {
+                Some(other) => self.other = Some(other),
+                None if self.other.is_none() => {
+                    return Err(Problem::Empty).doing("reading the second camera's frames");
+                }
+                None => self.others = None,
+            }
+        }
+        Ok(Some((frame, self.other.clone())))
+    }
+}
+
+/// A session for frames of some sizes, px.
+pub(crate) fn session(
+    workspace: &Workspace,
+    size: (usize, usize),
+    second: Option<(usize, usize)>,
+) -> Result<Live> {
     let (pipeline, base) = (&workspace.pipeline, &workspace.base);
     let live = &pipeline.live;
-    let mut frames = Source::open(&live.frames, base)?;
-    let mut others = match (&live.environment, live.setup) {
-        (Some(environment), Setup::TwoCameras | Setup::Fisheye) => Some(Source::open(&environment.frames, base)?),
-        _ => None,
-    };
-    let doing = "putting the object into the film";
-    let first = frames.frame()?.ok_or(Problem::Empty).doing(doing)?;
-    let mut other = match &mut others {
-        Some(source) => Some(source.frame()?.ok_or(Problem::Empty).doing("reading the second camera's frames")?),
-        None => None,
-    };
     let response = match &live.response {
         Some(path) => json::read(&base.join(path))?,
         None => Response::srgb(),
@@ -105,41 +136,40 @@ pub fn live(settings: &Path, printer: &Printer) -> Result<()> {
     let scene = live.scene.as_ref().map(|path| json::read::<Scene>(&base.join(path))).transpose()?;
     let phantoms = Phantoms::of(live, scene.as_ref()).doing("reading what the scene is made of")?;
     let object = load_object(&base.join(&pipeline.render.object), &pipeline.render)?;
-    let sizes = (first.size(), other.as_ref().map(CodeImage::size));
-    let mut session = Live::new(pipeline, response, object, phantoms, sizes.0, sizes.1).doing("preparing the film")?;
-    let folder = base.join(&live.output);
+    Live::new(pipeline, response, object, phantoms, size, second).doing("preparing the film")
+}
+
+/// Runs until the frames end.
+pub fn live(settings: &Path, printer: &Printer) -> Result<()> {
+    let workspace = Workspace::open(settings)?;
+    let live = &workspace.pipeline.live;
+    let mut film = Film::open(&workspace)?;
+    let doing = "putting the object into the film";
+    let first = film.next()?.ok_or(Problem::Empty).doing(doing)?;
+    let size = first.0.size();
+    let mut session = session(&workspace, size, first.1.as_ref().map(CodeImage::size))?;
+    let folder = workspace.base.join(&live.output);
     std::fs::create_dir_all(&folder).at("making a folder for the frames", &folder)?;
-    let film = folder.join("live.avi");
-    let rate = frames.frames_per_second().unwrap_or(live.frames_per_second);
-    let mut video = VideoWriter::create(&film, sizes.0, rate).doing("writing the video")?;
+    let path = folder.join("live.avi");
+    let mut video = VideoWriter::create(&path, size, film.rate).doing("writing the video")?;
     let mut report = Report::default();
     let (started, mut next) = (Instant::now(), Some(first));
-    while let Some(frame) = next {
+    while let Some((frame, other)) = next {
         let arrived = Instant::now();
         let output = session.frame(&frame, other.as_ref()).doing(doing)?;
-        output.notices.iter().for_each(|notice| printer.warn(notice));
         report.latency.push(1e3 * arrived.elapsed().as_secs_f64());
+        output.notices.iter().for_each(|notice| printer.warn(notice));
         report.add(&output);
         write_png(&folder.join(format!("frame_{:04}.png", report.latency.len() - 1)), &output.picture)?;
         video.write(&output.picture).doing("writing the video")?;
         if report.latency.len() == live.most_frames {
             break;
         }
-        next = frames.frame()?;
-        if let Some(source) = &mut others {
-            match source.frame()? {
-                Some(frame) => other = Some(frame),
-                None if next.is_some() => {
-                    printer.warn("the second camera's frames have ended; its last one is kept");
-                    others = None;
-                }
-                None => {}
-            }
-        }
+        next = film.next()?;
     }
     session.finish().doing(doing)?;
-    report.tell(started.elapsed().as_secs_f64(), sizes.0, printer);
-    printer.data(&film.display().to_string());
+    report.tell(started.elapsed().as_secs_f64(), size, printer);
+    printer.data(&path.display().to_string());
     Ok(())
 }
 

@@ -1,7 +1,7 @@
 //! The program `insitu`: runs stages in order, says what is fresh, validates captures in batch, starts new ones.
 
 mod guess;
-mod live;
+pub(crate) mod live;
 mod new;
 pub(crate) mod run;
 mod status;

@@ -9,11 +9,11 @@ use crate::calibrate::grey;
 use crate::camera::{Camera, Intrinsics};
 use crate::composite::composite;
 use crate::config::{self, Setup};
-use crate::dome::{self, CubeMap, DomeMaps, Layout, Pose, above, lights};
+use crate::dome::{self, CubeMap, DomeMaps, Layout, Pose, above, irradiance, lights, strongest};
 use crate::image::{Code, CodeImage, Image, Radiance, RadianceImage};
 use crate::render::{Layer, Object, Sample, Scene, motions, render_with};
 use crate::response::Response;
-use crate::shadow::{Caster, Occluder};
+use crate::shadow::Occluder;
 use crate::subtractive::{Surface, pixel_angle};
 use crate::visibility::Bvh;
 use glam::{Affine3A, Quat, Vec3};
@@ -74,6 +74,8 @@ pub struct Live {
     object: Object,
     caster: Occluder,
     motions: Vec<Affine3A>,
+    distance_m: f32,
+    most_lights: Option<usize>,
     maps: DomeMaps,
     split: BTreeSet<dome::Cell>,
     environment: Option<CubeMap>,
@@ -115,16 +117,18 @@ impl Live {
             .map_err(|problem| Problem::NoEnvironment { frames: 1, problem })?;
         let motions = motions(&settings.render)
             .map_err(|e| Problem::Setting { name: "path", what: format!("of [render]: {e}") })?;
-        let occluder = Occluder { vertices: object.vertices.clone(), triangles: object.triangles.clone() };
         Ok(Self {
             settings: settings.render.clone(),
             response,
             tracker,
             lighting,
             phantoms,
-            caster: Caster::new(&occluder, settings.render.caster_triangles).occluder,
+            // Whole: what it hides of itself shows where a simpler one departs from it.
+            caster: Occluder { vertices: object.vertices.clone(), triangles: object.triangles.clone() },
             object,
             motions,
+            distance_m: live.environment_distance_m,
+            most_lights: live.most_lights,
             maps: DomeMaps::new(settings.render.shadow_map_px, live.maps_per_frame),
             split: BTreeSet::new(),
             environment: None,
@@ -187,15 +191,26 @@ impl Live {
             let radiance = scene.radiance;
             return Ok(Output { picture, radiance, tracked, lights: 0, drawn: 0, notices, timing });
         };
-        let dome = above(lights(environment, Layout::of(&self.settings), &mut self.split), self.phantoms.normals());
         let [low, high] = self.object.bounds();
         let anchor = motion.transform_point3((low + high) / 2.0);
+        let mut dome = lights(environment, Layout::of(&self.settings), &mut self.split);
+        if self.distance_m > 0.0 {
+            let from = self.lighting.place() - anchor;
+            let seen = |d: Vec3| (from + d * self.distance_m).try_normalize().unwrap_or(d);
+            dome.iter_mut().for_each(|l| l.source.direction = seen(l.source.direction));
+        }
+        let dome = above(dome, self.phantoms.normals());
+        let all: Vec<[f32; 3]> = self.phantoms.normals().iter().map(|n| irradiance(&dome, *n)).collect();
+        let dome = match self.most_lights {
+            Some(count) => strongest(dome, count),
+            None => dome,
+        };
         let pose = Pose { anchor, turn: Quat::from_mat3a(&motion.matrix3) };
         let mut caster = self.caster.clone();
         caster.vertices.iter_mut().for_each(|v| *v = motion.transform_point3(*v));
         let drawn = self.maps.update(&dome, &caster, pose);
         timing.maps = clock.lap();
-        let removed = self.shadow(camera, &scene.radiance, tracked.opacity);
+        let removed = self.shadow(camera, &scene.radiance, &all, tracked.opacity);
         timing.shadow = clock.lap();
         let layer = self.render(camera, environment, &self.object.moved(&motion), tracked.opacity);
         let radiance = composite(&scene.radiance, &removed, &layer)
@@ -245,11 +260,10 @@ impl Live {
         }
     }
 
-    /// What leaves the scene: B R / E.
-    fn shadow(&self, camera: &Camera, plate: &RadianceImage, opacity: f32) -> RadianceImage {
+    /// What leaves the scene: B R / E, with E by normal.
+    fn shadow(&self, camera: &Camera, plate: &RadianceImage, all: &[[f32; 3]], opacity: f32) -> RadianceImage {
         let (width, height) = plate.size();
         let (columns, rows) = (width.div_ceil(TILE), height.div_ceil(TILE));
-        let all: Vec<[f32; 3]> = self.phantoms.normals().iter().map(|n| self.maps.irradiance(*n)).collect();
         let pixel_rad = pixel_angle(camera);
         let tiles: Vec<Vec<(usize, Radiance)>> = (0..columns * rows)
             .into_par_iter()
@@ -288,10 +302,11 @@ impl Live {
         let bvh = Bvh::new(&object.vertices, &object.triangles);
         let scene = Scene::new(object, &bvh);
         let radiance = |samples: &[Sample]| {
-            let surfaces: Vec<Surface> = samples.iter().map(|s| Surface::of_object(s, 0.0)).collect();
-            let hidden = self.maps.own_shadow_buffer(&surfaces);
+            // What is hidden changes little within a pixel.
+            let middle = Surface::of_object(&samples[samples.len() / 2], 0.0);
+            let s = self.maps.own_shadow_buffer(&middle);
             let mut sum = [0.0f32; 3];
-            for (sample, s) in samples.iter().zip(hidden) {
+            for sample in samples {
                 let material = &object.materials[sample.material as usize];
                 let d = irradiance.bilinear(sample.normal);
                 let mirror = sample.view - sample.normal * (2.0 * sample.view.dot(sample.normal));

@@ -54,6 +54,7 @@ struct Boost {
 pub struct Lighting {
     view: View,
     ball: (Point3<f64>, f64),
+    place: Point3<f64>,
     reflectivity: [f32; 3],
     paper: [f32; 3],
     white: Vec<Point3<f64>>,
@@ -85,12 +86,22 @@ impl Lighting {
         Ok(Self {
             view,
             ball: (centre, probe.radius_m),
+            place: match (settings.setup, &settings.environment) {
+                (Setup::Fisheye, Some(environment)) => place(environment.position_m),
+                _ => centre,
+            },
             reflectivity: probe.reflectivity.map(|r| r as f32),
             paper: settings.paper,
             white: layout.white().iter().map(|p| place([p.x, p.y, 0.0])).collect(),
             boosts: vec![None; 6 * CELLS * CELLS],
             frame: 0,
         })
+    }
+
+    /// Where the environment is seen from, m.
+    pub fn place(&self) -> Vec3 {
+        let [x, y, z] = self.place.coords.into();
+        Vec3::new(x as f32, y as f32, z as f32)
     }
 
     /// The environment of a frame, in the scene's units. `camera` is the scene's.
