@@ -45,7 +45,9 @@ impl crate::error::Problem for Problem {
             }
             Self::Dictionary(name) => markers::nearest(name),
             Self::Marker { .. } => "take another dictionary, or markers with smaller numbers".into(),
-            Self::Video(_) => "check it with a video player; frames may also come as a folder of pictures".into(),
+            Self::Video(_) => {
+                "check it with a video player; frames may also come as a folder of pictures".into()
+            }
         }
     }
 }

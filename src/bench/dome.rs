@@ -66,7 +66,8 @@ pub(super) fn print(
     }
     columns.extend(strip.iter().cloned());
     let (w, h) = first[0].size();
-    let sheet = Image::from_fn(columns.len() * w, SHOWN.len() * h, |x, y| *columns[x / w][y / h].at(x % w, y % h));
+    let sheet =
+        Image::from_fn(columns.len() * w, SHOWN.len() * h, |x, y| *columns[x / w][y / h].at(x % w, y % h));
     let path = folder.join("dome.png");
     write_png(&path, &sheet)?;
     printer.data(&path.display().to_string());
@@ -139,7 +140,9 @@ fn times(workspace: &Workspace, frames: usize, printer: &Printer) -> Result<()> 
 fn enlarged(frame: &CodeImage) -> CodeImage {
     let linear = frame.map(|c| crate::image::Radiance(c.0));
     let at = |i: usize| (i as f64 + 0.5) / ENLARGED as f64;
-    Image::from_fn(ENLARGED * frame.width(), ENLARGED * frame.height(), |x, y| Code(linear.bilinear(at(x), at(y)).0))
+    Image::from_fn(ENLARGED * frame.width(), ENLARGED * frame.height(), |x, y| {
+        Code(linear.bilinear(at(x), at(y)).0)
+    })
 }
 
 /// Figure 6, in numbers.
@@ -155,9 +158,11 @@ fn quality(subject: &Subject, frames: usize, printer: &Printer) -> Result<()> {
         "a face", "lights", "number", "ms", "error", "bias %", "infinity:", "ms", "error", "bias %"
     ));
     for texels in TEXELS {
-        for (name, centroid, splits) in
-            [("in the middle (paper)", false, 0), ("at centroids", true, 0), ("and brightest split", true, SPLITS)]
-        {
+        for (name, centroid, splits) in [
+            ("in the middle (paper)", false, 0),
+            ("at centroids", true, 0),
+            ("and brightest split", true, SPLITS),
+        ] {
             let mut cells = String::new();
             for dome_at_infinity in [false, true] {
                 let settings = Render {

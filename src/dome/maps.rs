@@ -36,6 +36,8 @@ struct Slot {
     drawn: Arc<Drawn>,
     /// Of the drawing, counted over all lights; 0: the map was drawn for another light.
     drawing: u64,
+    /// Drawings before the light was there.
+    since: u64,
 }
 
 /// The lights of a dome with their maps.
@@ -73,11 +75,16 @@ impl DomeMaps {
             let draw = |light: &DomeLight| Arc::new(self.draw(light, occluder, &bounds));
             let drawn: Vec<_> = lights.par_iter().map(draw).collect();
             self.drawings += 1;
-            let slot = |(light, drawn): (&DomeLight, _)| Slot { light: *light, drawn, drawing: self.drawings };
+            let slot = |(light, drawn): (&DomeLight, _)| Slot {
+                light: *light,
+                drawn,
+                drawing: self.drawings,
+                since: 0,
+            };
             self.slots = lights.iter().zip(drawn).map(slot).collect();
             return lights.len();
         }
-        self.slots = lights.iter().map(|light| carried(&before, light)).collect();
+        self.slots = lights.iter().map(|light| carried(&before, light, self.drawings)).collect();
         let due = self.due();
         let drawn: Vec<_> =
             due.par_iter().map(|&i| Arc::new(self.draw(&self.slots[i].light, occluder, &bounds))).collect();
@@ -128,9 +135,9 @@ impl DomeMaps {
         self.slots.iter().map(|s| &s.light)
     }
 
-    /// Of the oldest map, drawings of other maps since.
+    /// Drawings of other maps since the oldest map was drawn, or its light appeared.
     pub fn oldest(&self) -> u64 {
-        self.slots.iter().map(|s| self.drawings - s.drawing.min(self.drawings)).max().unwrap_or(0)
+        self.slots.iter().map(|s| self.drawings - s.drawing.max(s.since)).max().unwrap_or(0)
     }
 
     /// The shadow buffer R = Σ C N·L (1 − S) (eq. 3) of neighbouring surfaces.
@@ -154,7 +161,11 @@ impl DomeMaps {
                 }
                 let on = match &lookup {
                     Some((normal, on)) if *normal == surface.normal => on,
-                    _ => &lookup.insert((surface.normal, DistantLookup::new(map, surface.normal, then(slot)))).1,
+                    _ => {
+                        &lookup
+                            .insert((surface.normal, DistantLookup::new(map, surface.normal, then(slot))))
+                            .1
+                    }
                 };
                 if on.blocked(surface.position) {
                     (0..3).for_each(|k| sum[k] += cos * power[k]);
@@ -189,15 +200,16 @@ impl DomeMaps {
 }
 
 /// A light of this frame with its own map, or that of the light of the frame before that stands nearest.
-fn carried(before: &[Slot], light: &DomeLight) -> Slot {
+fn carried(before: &[Slot], light: &DomeLight, since: u64) -> Slot {
     let own = |cell: Cell| before.binary_search_by_key(&cell, |s| s.light.cell).ok();
     if let Some(i) = own(light.cell) {
-        return Slot { light: *light, drawn: before[i].drawn.clone(), drawing: before[i].drawing };
+        let Slot { drawn, drawing, since, .. } = &before[i];
+        return Slot { light: *light, drawn: drawn.clone(), drawing: *drawing, since: *since };
     }
     let near = |s: &&Slot| s.drawn.direction.dot(light.source.direction);
     let nearest = before.iter().max_by(|a, b| near(a).total_cmp(&near(b)));
     let drawn = nearest.map_or(before[0].drawn.clone(), |s| s.drawn.clone());
-    Slot { light: *light, drawn, drawing: 0 }
+    Slot { light: *light, drawn, drawing: 0, since }
 }
 
 #[cfg(test)]
@@ -232,7 +244,10 @@ mod tests {
         let lid = cuboid(Vec3::Y * 0.01, Vec3::new(5.0, 0.001, 5.0));
         maps.update(&lights, &lid, at(Vec3::ZERO));
         let (gone, all) = (maps.shadow_buffer(&[floor(0.0, 0.0)])[0], irradiance(&lights, Vec3::Y));
-        assert!(all[0] > 0.0 && (0..3).all(|k| (gone[k] - all[k]).abs() <= 1e-6 * all[k]), "{gone:?} {all:?}");
+        assert!(
+            all[0] > 0.0 && (0..3).all(|k| (gone[k] - all[k]).abs() <= 1e-6 * all[k]),
+            "{gone:?} {all:?}"
+        );
         let crumb = cuboid(Vec3::new(9.0, 9.0, 9.0), Vec3::splat(1e-3));
         maps.update(&lights, &crumb, at(Vec3::new(9.0, 9.0, 9.0)));
         let mut far = DomeMaps::new(64, 1);
@@ -250,8 +265,7 @@ mod tests {
         maps.update(&lights, &object, at(Vec3::ZERO));
         let places: Vec<[f32; 2]> =
             (0..400).map(|i| [i as f32 % 20.0 * 0.05 - 0.5, i as f32 / 400.0 - 0.5]).collect();
-        let before: Vec<_> =
-            places.iter().map(|p| maps.shadow_buffer(&[floor(p[0], p[1])])[0]).collect();
+        let before: Vec<_> = places.iter().map(|p| maps.shadow_buffer(&[floor(p[0], p[1])])[0]).collect();
         assert_eq!(maps.update(&lights, &moved, at(by)), 1);
         let mut other = 0;
         for (p, before) in places.iter().zip(before) {

@@ -134,8 +134,7 @@ impl SphereMap {
         show: impl Fn(Point2<f64>) -> Option<Vec3>,
     ) -> Self {
         let (left, top) = (low[0].max(0.0) as usize, low[1].max(0.0) as usize);
-        let (right, bottom) =
-            ((high[0].ceil() as usize).min(size.0), (high[1].ceil() as usize).min(size.1));
+        let (right, bottom) = ((high[0].ceil() as usize).min(size.0), (high[1].ceil() as usize).min(size.1));
         let (columns, rows) = ((right - left) * PARTS + 1, (bottom - top) * PARTS + 1);
         let at = |i: usize, from: usize| from as f64 + i as f64 / PARTS as f64;
         let corner = |i: usize| show(Point2::new(at(i % columns, left), at(i / columns, top)));
@@ -198,9 +197,9 @@ mod tests {
         }
         let coarse = truth.downsampled(4);
         let fine = seen.cube.downsampled(2);
-        let off = (0..coarse.texels().len()).filter(|&i| !hidden(coarse.texel(i).0)).map(|i| {
-            (coarse.texels()[i].0[2] - fine.texels()[i].0[2]).abs()
-        });
+        let off = (0..coarse.texels().len())
+            .filter(|&i| !hidden(coarse.texel(i).0))
+            .map(|i| (coarse.texels()[i].0[2] - fine.texels()[i].0[2]).abs());
         assert!(off.fold(0.0, f32::max) < 0.03);
     }
 
@@ -252,7 +251,8 @@ mod tests {
 
     #[test]
     fn a_ball_out_of_the_frame_or_too_small_is_refused() {
-        let look = |at: Point3<f64>| look_at(Intrinsics::pinhole(320, 240, 300.0), Point3::new(0.0, 0.5, 1.0), at);
+        let look =
+            |at: Point3<f64>| look_at(Intrinsics::pinhole(320, 240, 300.0), Point3::new(0.0, 0.5, 1.0), at);
         let centre = Point3::new(0.0, 0.1, 0.0);
         let off = SphereMap::of_ball(&look(Point3::new(2.0, 0.0, 0.0)), &centre, 0.1).err();
         assert_eq!(off, Some(Problem::OutOfFrame { outside: 1.0 }));

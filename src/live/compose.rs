@@ -167,13 +167,20 @@ impl Live {
             let second = second.map(|s| self.linear(s));
             match self.lighting.follow(&scene, camera, second.as_ref()) {
                 Ok(environment) => {
-                    let back = self.unlit.take().map(|_| format!("frame {}: the environment is seen again", self.frame));
+                    let back = self
+                        .unlit
+                        .take()
+                        .map(|_| format!("frame {}: the environment is seen again", self.frame));
                     notices.extend(back);
                     self.environment = Some(environment);
                 }
                 Err(problem) => {
                     if self.unlit.replace(problem).is_none() {
-                        let kept = if self.environment.is_some() { "the last light is kept" } else { "there is no light yet" };
+                        let kept = if self.environment.is_some() {
+                            "the last light is kept"
+                        } else {
+                            "there is no light yet"
+                        };
                         notices.push(format!("frame {}: {problem}; {kept}", self.frame));
                     }
                 }
@@ -185,7 +192,8 @@ impl Live {
             n => self.motions[self.frame.min(n - 1)],
         };
         self.frame += 1;
-        let (Some(camera), Some(environment), true) = (&tracked.camera, &self.environment, tracked.opacity > 0.0)
+        let (Some(camera), Some(environment), true) =
+            (&tracked.camera, &self.environment, tracked.opacity > 0.0)
         else {
             let picture = frame.clone();
             let radiance = scene.radiance;
@@ -247,7 +255,9 @@ impl Live {
             (Some(Sight::Held(_) | Sight::Seen(_)), Sight::Fading(lost)) => {
                 Some(format!("frame {frame}: no marker was seen in {lost} frames; the object fades"))
             }
-            (Some(Sight::Fading(_)), Sight::Gone) => Some(format!("frame {frame}: the object is gone until a marker is seen")),
+            (Some(Sight::Fading(_)), Sight::Gone) => {
+                Some(format!("frame {frame}: the object is gone until a marker is seen"))
+            }
             (None, Sight::Gone) => Some(format!("frame {frame}: no marker is seen yet")),
             _ => None,
         }
@@ -261,7 +271,13 @@ impl Live {
     }
 
     /// What leaves the scene: B R / E, with E by normal.
-    fn shadow(&self, camera: &Camera, plate: &RadianceImage, all: &[[f32; 3]], opacity: f32) -> RadianceImage {
+    fn shadow(
+        &self,
+        camera: &Camera,
+        plate: &RadianceImage,
+        all: &[[f32; 3]],
+        opacity: f32,
+    ) -> RadianceImage {
         let (width, height) = plate.size();
         let (columns, rows) = (width.div_ceil(TILE), height.div_ceil(TILE));
         let pixel_rad = pixel_angle(camera);
@@ -270,18 +286,29 @@ impl Live {
             .map(|tile| {
                 let (left, top) = (tile % columns * TILE, tile / columns * TILE);
                 let (mut at, mut surfaces, mut normals) = (Vec::new(), Vec::new(), Vec::new());
-                for (y, x) in (top..height.min(top + TILE)).flat_map(|y| (left..width.min(left + TILE)).map(move |x| (y, x))) {
+                for (y, x) in (top..height.min(top + TILE))
+                    .flat_map(|y| (left..width.min(left + TILE)).map(move |x| (y, x)))
+                {
                     let (origin, direction) = ray(camera, x, y);
                     let Some((position, normal)) = self.phantoms.seen(origin, direction) else { continue };
                     at.push(y * width + x);
                     normals.push(normal);
                     let n = self.phantoms.normals()[normal];
                     let pixel_m = origin.distance(position) * pixel_rad;
-                    surfaces.push(Surface { position, normal: n, face_normal: n, viewer: -direction, material: 0, pixel_m });
+                    surfaces.push(Surface {
+                        position,
+                        normal: n,
+                        face_normal: n,
+                        viewer: -direction,
+                        material: 0,
+                        pixel_m,
+                    });
                 }
                 let gone = self.maps.shadow_buffer(&surfaces);
                 let removed = |((i, normal), gone): ((usize, usize), [f32; 3])| {
-                    let share = |k: usize| if all[normal][k] > 0.0 { (gone[k] / all[normal][k]).min(1.0) } else { 0.0 };
+                    let share = |k: usize| {
+                        if all[normal][k] > 0.0 { (gone[k] / all[normal][k]).min(1.0) } else { 0.0 }
+                    };
                     (i, Radiance([0, 1, 2].map(|k| opacity * share(k) * plate.pixels()[i].0[k])))
                 };
                 at.into_iter().zip(normals).zip(gone).map(removed).collect()
@@ -298,7 +325,8 @@ impl Live {
     fn render(&self, camera: &Camera, environment: &CubeMap, object: &Object, opacity: f32) -> Layer {
         let coarse = environment.downsampled(environment.side() / COARSE);
         let irradiance = CubeMap::from_fn(IRRADIANCE, |normal| coarse.irradiance(normal));
-        let mirrored: Vec<CubeMap> = object.materials.iter().map(|m| gloss(environment, m.shininess)).collect();
+        let mirrored: Vec<CubeMap> =
+            object.materials.iter().map(|m| gloss(environment, m.shininess)).collect();
         let bvh = Bvh::new(&object.vertices, &object.triangles);
         let scene = Scene::new(object, &bvh);
         let radiance = |samples: &[Sample]| {
@@ -322,7 +350,8 @@ impl Live {
             sum
         };
         let (side, seed) = (self.settings.antialiasing, self.settings.seed);
-        let rendered = render_with(&scene, camera, &self.phantoms.bvh, side, seed, |_, samples, _| radiance(samples));
+        let rendered =
+            render_with(&scene, camera, &self.phantoms.bvh, side, seed, |_, samples, _| radiance(samples));
         let layer = rendered.layer;
         Layer {
             colour: layer.colour.map(|c| Radiance(c.0.map(|v| v * opacity))),
@@ -335,7 +364,8 @@ impl Live {
 /// The environment as wide as a Phong lobe: texels of the lobe's solid angle, 4π/(n + 1).
 fn gloss(environment: &CubeMap, shininess: f32) -> CubeMap {
     let side = (1.5 * (shininess + 1.0)).sqrt() / 3f32.sqrt();
-    let fits = |factor: &usize| environment.side() as f32 / *factor as f32 >= side && environment.side() > *factor;
+    let fits =
+        |factor: &usize| environment.side() as f32 / *factor as f32 >= side && environment.side() > *factor;
     let factor = [1, 2, 4, 8, 16].into_iter().filter(fits).max().unwrap_or(1);
     environment.downsampled(factor)
 }

@@ -87,7 +87,8 @@ mod tests {
     /// Root mean square error (standard deviations) of the frames from the twentieth on: measured, filtered.
     fn errors(path: impl Fn(f64) -> Isometry3<f64>) -> [f64; 2] {
         let mut rng = SmallRng::seed_from_u64(5);
-        let mut noise = || Vector3::from_fn(|_, _| (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0) * SIGMA;
+        let mut noise =
+            || Vector3::from_fn(|_, _| (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0) * SIGMA;
         let (mut filter, mut sums) = (Filter::default(), [0.0; 2]);
         for frame in 0..220 {
             let truth = path(frame as f64);

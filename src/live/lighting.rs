@@ -39,8 +39,13 @@ pub struct Picture {
 enum View {
     /// The scene's own camera sees the ball.
     Own,
-    Ball { camera: Camera, map: SphereMap },
-    Fisheye { map: SphereMap },
+    Ball {
+        camera: Camera,
+        map: SphereMap,
+    },
+    Fisheye {
+        map: SphereMap,
+    },
 }
 
 /// A part of the sky whose light is clipped.
@@ -174,7 +179,9 @@ impl Lighting {
             }
         }
         let new = [0, 1, 2].map(|k| fresh.iter().map(|&i| given[i][k]).sum::<f32>());
-        let boost = |lacking: f32, given: f32| if given > 0.0 { (lacking / given).clamp(1.0, MOST_BOOST) } else { 1.0 };
+        let boost = |lacking: f32, given: f32| {
+            if given > 0.0 { (lacking / given).clamp(1.0, MOST_BOOST) } else { 1.0 }
+        };
         if fresh.is_empty() {
             let follow = [0, 1, 2].map(|k| {
                 let misfit = if known[k] > 0.0 { lacking[k] / known[k] } else { 1.0 };

@@ -47,10 +47,14 @@ impl Layout {
             let sound = marker.side_m > 0.0 && marker.side_m.is_finite();
             if !sound || corners.contains_key(&marker.id) {
                 let what = if sound { "twice".into() } else { format!("with a side of {} m", marker.side_m) };
-                return Err(Problem::Setting { name: "markers", what: format!("have number {} {what}", marker.id) });
+                return Err(Problem::Setting {
+                    name: "markers",
+                    what: format!("have number {} {what}", marker.id),
+                });
             }
             let turn = Rotation2::new(marker.rotation_deg.to_radians());
-            let at = |x: f64, y: f64| Point2::from(marker.centre_m) + turn * Vector2::new(x, y) * marker.side_m;
+            let at =
+                |x: f64, y: f64| Point2::from(marker.centre_m) + turn * Vector2::new(x, y) * marker.side_m;
             corners.insert(marker.id, [at(-0.5, 0.5), at(0.5, 0.5), at(0.5, -0.5), at(-0.5, -0.5)]);
             let out = 0.5 + WHITE_OUTSIDE;
             white.extend([at(0.0, out), at(0.0, -out), at(out, 0.0), at(-out, 0.0)]);

@@ -71,11 +71,15 @@ pub enum Problem {
 impl crate::error::Problem for Problem {
     fn hint(&self) -> String {
         match self {
-            Self::NotGiven(name) => format!("give `{name}` in [live]; the commented pipeline.toml of insitu says how"),
+            Self::NotGiven(name) => {
+                format!("give `{name}` in [live]; the commented pipeline.toml of insitu says how")
+            }
             Self::Setting { .. } => "correct it in [live]".into(),
             Self::Empty => "check live.frames, and play the video".into(),
             Self::Size { .. } => "give frames of one size: cut the film where its size changes".into(),
-            Self::NoMarkers { .. } => "check live.dictionary, the numbers of the markers, and that they are in focus".into(),
+            Self::NoMarkers { .. } => {
+                "check live.dictionary, the numbers of the markers, and that they are in focus".into()
+            }
             Self::NoEnvironment { problem, .. } => problem.hint(),
             Self::Vision(problem) => problem.hint(),
         }

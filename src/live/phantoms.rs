@@ -130,7 +130,8 @@ mod tests {
     fn nothing_and_flat_things_are_refused() {
         let said = |settings: config::Live| Phantoms::of(&settings, None).err().map(|e| e.to_string());
         assert_eq!(said(config::Live::default()).as_deref(), Some("`live.planes` is not given"));
-        let flat = config::PhantomPlane { corner_m: [0.0; 3], side_u_m: [1.0, 0.0, 0.0], side_v_m: [2.0, 0.0, 0.0] };
+        let flat =
+            config::PhantomPlane { corner_m: [0.0; 3], side_u_m: [1.0, 0.0, 0.0], side_v_m: [2.0, 0.0, 0.0] };
         let flat = config::Live { planes: vec![flat], ..Default::default() };
         assert_eq!(said(flat).as_deref(), Some("`live.planes` have one without area"));
         let thin = config::PhantomBox { centre_m: [0.0; 3], size_m: [0.1, 0.0, 0.1], rotation_deg: 0.0 };

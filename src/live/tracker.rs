@@ -78,8 +78,12 @@ impl Tracker {
         let seen = vision::markers(grey, &self.dictionary)?;
         let posed = self.layout.view(&seen).and_then(|view| {
             let boards = [view];
-            let view =
-                pose::View { intrinsics: &self.intrinsics, boards: &boards, corner_sigma_px: 0.0, edges: None };
+            let view = pose::View {
+                intrinsics: &self.intrinsics,
+                boards: &boards,
+                corner_sigma_px: 0.0,
+                edges: None,
+            };
             let posed = pose::fit(&view).ok()?.posed;
             let corners = boards[0].board.len();
             (posed.rms_px < MOST_RMS_PX).then_some((posed, corners))
@@ -92,7 +96,8 @@ impl Tracker {
         let measured = posed.camera.world_from_camera;
         // Six parameters share the noise of 2n numbers: an rms of σ √(3/n) at the corners.
         let noise = posed.rms_px.max(CORNER_SIGMA_PX) * (3.0 / corners as f64).sqrt();
-        let apart = |a: &Isometry3<f64>, b: &Isometry3<f64>| apart_px(&self.layout, &self.intrinsics, a, b) / noise;
+        let apart =
+            |a: &Isometry3<f64>, b: &Isometry3<f64>| apart_px(&self.layout, &self.intrinsics, a, b) / noise;
         let world_from_camera = self.filter.update(measured, apart);
         let camera = Camera { intrinsics: self.intrinsics.clone(), world_from_camera };
         self.last = Some(camera.clone());
@@ -110,7 +115,9 @@ impl Tracker {
         let beyond = self.lost.saturating_sub(self.hold);
         let (sight, opacity) = match (&self.last, beyond) {
             (Some(_), 0) => (Sight::Held(self.lost), 1.0),
-            (Some(_), n) if n <= self.fade => (Sight::Fading(self.lost), 1.0 - n as f32 / (self.fade + 1) as f32),
+            (Some(_), n) if n <= self.fade => {
+                (Sight::Fading(self.lost), 1.0 - n as f32 / (self.fade + 1) as f32)
+            }
             _ => (Sight::Gone, 0.0),
         };
         Tracked { camera: self.last.clone(), measured: None, rms_px: 0.0, sight, opacity }

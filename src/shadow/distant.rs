@@ -1,8 +1,8 @@
 //! Lookups in maps of light at infinity: a receiver's place in the map is affine in its position, and planes of one normal all
 //! rise alike.
 
-use super::raster::{DEPTH_BIAS, EMPTY, ShadowMap};
 use super::lookup::slope;
+use super::raster::{DEPTH_BIAS, EMPTY, ShadowMap};
 use glam::{Vec3, Vec4};
 
 /// A map as receivers of one normal look it up.

@@ -115,7 +115,12 @@ pub fn pose_of(frame: usize) -> (Vec3, f32) {
 }
 
 /// The scene of a frame, with the object or without.
-pub fn with_scene<T>(board: &Board, lamp_on: bool, object: Option<(Vec3, f32)>, body: impl FnOnce(&Tracer) -> T) -> T {
+pub fn with_scene<T>(
+    board: &Board,
+    lamp_on: bool,
+    object: Option<(Vec3, f32)>,
+    body: impl FnOnce(&Tracer) -> T,
+) -> T {
     let table = |p: Vec3| match board.reflectance(p) {
         Some(paper) => [paper; 3],
         None => [0.42, 0.33, 0.25].map(|c| c * (1.0 + 0.12 * (p.x * 60.0 + (p.z * 9.0).sin()).sin())),
@@ -123,7 +128,12 @@ pub fn with_scene<T>(board: &Board, lamp_on: bool, object: Option<(Vec3, f32)>, 
     let [half, high, low] = ROOM;
     let corner = Vec3::new(-half, -low, -half);
     let (x, y, z) = (Vec3::X * 2.0 * half, Vec3::Y * (high + low), Vec3::Z * 2.0 * half);
-    let shine = |corner, u, v, radiance, sampled| Quad { corner, sides: [u, v], finish: Finish::Emitter(radiance), sampled };
+    let shine = |corner, u, v, radiance, sampled| Quad {
+        corner,
+        sides: [u, v],
+        finish: Finish::Emitter(radiance),
+        sampled,
+    };
     let mut quads = vec![
         shine(corner, z, x, [0.05, 0.04, 0.03], false),
         shine(corner + y, x, z, [0.16, 0.16, 0.15], false),

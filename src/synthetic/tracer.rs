@@ -91,7 +91,8 @@ impl<'a> Tracer<'a> {
             let (x, y) = (i % width, i / width);
             let mut sum = [0.0f32; 3];
             for s in 0..side * side {
-                let mut at = |k: usize, part: usize| k as f64 + (part as f64 + rng.random::<f64>()) / side as f64;
+                let mut at =
+                    |k: usize, part: usize| k as f64 + (part as f64 + rng.random::<f64>()) / side as f64;
                 let (px, py) = (at(x, s % side), at(y, s / side));
                 let Some((origin, direction)) = ray(px, py) else { continue };
                 let radiance = self.radiance(origin, direction, true, BOUNCES, &mut rng);
@@ -112,7 +113,14 @@ impl<'a> Tracer<'a> {
     }
 
     /// Radiance along a ray; that of sampled lights only where `sees_lights`.
-    fn radiance(&self, origin: Vec3, direction: Vec3, sees_lights: bool, bounces: u32, rng: &mut SmallRng) -> [f32; 3] {
+    fn radiance(
+        &self,
+        origin: Vec3,
+        direction: Vec3,
+        sees_lights: bool,
+        bounces: u32,
+        rng: &mut SmallRng,
+    ) -> [f32; 3] {
         let hit = self.bvh.closest(origin, direction, 0.0, f32::INFINITY);
         let most = hit.map_or(f32::INFINITY, |h| h.t);
         if let Some((t, ball)) = self.ball_at(origin, direction, most) {
@@ -179,7 +187,8 @@ mod tests {
         let grey = |_: Vec3| [0.5; 3];
         let (x, y, z) = (Vec3::X * 20.0, Vec3::Y * 20.0, Vec3::Z * 20.0);
         let low = Vec3::splat(-10.0);
-        let wall = |corner, u, v| Quad { corner, sides: [u, v], finish: Finish::Emitter([2.0; 3]), sampled: false };
+        let wall =
+            |corner, u, v| Quad { corner, sides: [u, v], finish: Finish::Emitter([2.0; 3]), sampled: false };
         let mut quads = vec![
             wall(low, z, x),
             wall(low + y, x, z),
@@ -189,7 +198,8 @@ mod tests {
             wall(low + z, y, x),
         ];
         let table = Vec3::new(-0.5, 0.0, -0.5);
-        let floor = Quad { corner: table, sides: [Vec3::Z, Vec3::X], finish: Finish::Diffuse(&grey), sampled: false };
+        let floor =
+            Quad { corner: table, sides: [Vec3::Z, Vec3::X], finish: Finish::Diffuse(&grey), sampled: false };
         quads.push(floor);
         let down = |x: f64, y: f64| Some((Vec3::new(0.01 * x as f32, 1.0, 0.01 * y as f32), Vec3::NEG_Y));
         let picture = Tracer::new(quads.clone(), None, None).picture((8, 8), 8, 1, down);

@@ -19,9 +19,27 @@ pub struct Marker {
 /// Cells of the printed borders besides the code's.
 const BORDER: i32 = 1;
 const NAMES: [&str; 21] = [
-    "4x4_50", "4x4_100", "4x4_250", "4x4_1000", "5x5_50", "5x5_100", "5x5_250", "5x5_1000", "6x6_50", "6x6_100",
-    "6x6_250", "6x6_1000", "7x7_50", "7x7_100", "7x7_250", "7x7_1000", "aruco_original", "apriltag_16h5",
-    "apriltag_25h9", "apriltag_36h10", "apriltag_36h11",
+    "4x4_50",
+    "4x4_100",
+    "4x4_250",
+    "4x4_1000",
+    "5x5_50",
+    "5x5_100",
+    "5x5_250",
+    "5x5_1000",
+    "6x6_50",
+    "6x6_100",
+    "6x6_250",
+    "6x6_1000",
+    "7x7_50",
+    "7x7_100",
+    "7x7_250",
+    "7x7_1000",
+    "aruco_original",
+    "apriltag_16h5",
+    "apriltag_25h9",
+    "apriltag_36h10",
+    "apriltag_36h11",
 ];
 /// Of the squares by which corners are refined, px: smaller than a cell, so that they hold one corner.
 const LEAST_WINDOW: i32 = 2;
@@ -43,7 +61,8 @@ pub fn markers(image: &Image<u8>, name: &str) -> Result<Vec<Marker>, Problem> {
     let dictionary = dictionary(name)?;
     let cells = dictionary.marker_size() + 2 * BORDER;
     let rough = detect(image, &dictionary, MOST_WINDOW)?;
-    let side = |m: &Marker| (0..4).map(|k| (m.corners[k] - m.corners[(k + 1) % 4]).norm()).fold(f64::MAX, f64::min);
+    let side =
+        |m: &Marker| (0..4).map(|k| (m.corners[k] - m.corners[(k + 1) % 4]).norm()).fold(f64::MAX, f64::min);
     let smallest = rough.iter().map(side).fold(f64::MAX, f64::min);
     let window = (0.8 * smallest / f64::from(cells)) as i32;
     if window >= MOST_WINDOW || rough.is_empty() {
@@ -116,7 +135,10 @@ mod tests {
     fn unknown_dictionaries_and_numbers_are_named() {
         use crate::error::Problem as _;
         let e = markers(&Image::from_fn(8, 8, |_, _| 0), "4x4_500").unwrap_err();
-        assert_eq!((e.to_string(), e.hint()), ("there is no dictionary of markers `4x4_500`".into(), "did you mean `4x4_50`?".into()));
+        assert_eq!(
+            (e.to_string(), e.hint()),
+            ("there is no dictionary of markers `4x4_500`".into(), "did you mean `4x4_50`?".into())
+        );
         assert_eq!(marker_cells("4x4_50", 50), Err(Problem::Marker { id: 50, count: 50 }));
     }
 }

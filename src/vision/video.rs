@@ -54,7 +54,11 @@ pub struct VideoWriter(videoio::VideoWriter);
 
 impl VideoWriter {
     /// A new file, for frames of a size, px.
-    pub fn create(path: &Path, (width, height): (usize, usize), frames_per_second: f64) -> Result<Self, Problem> {
+    pub fn create(
+        path: &Path,
+        (width, height): (usize, usize),
+        frames_per_second: f64,
+    ) -> Result<Self, Problem> {
         let code = videoio::VideoWriter::fourcc('M', 'J', 'P', 'G')?;
         let size = Size::new(width as i32, height as i32);
         let writer = videoio::VideoWriter::new_def(path, code, frames_per_second, size)?;
@@ -67,7 +71,8 @@ impl VideoWriter {
     /// Appends a frame.
     pub fn write(&mut self, frame: &CodeImage) -> Result<(), Problem> {
         let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0).round() as u8;
-        let pixels: Vec<Vec3b> = frame.pixels().iter().map(|p| Vec3b::from([p.0[2], p.0[1], p.0[0]].map(byte))).collect();
+        let pixels: Vec<Vec3b> =
+            frame.pixels().iter().map(|p| Vec3b::from([p.0[2], p.0[1], p.0[0]].map(byte))).collect();
         let picture = Mat::new_rows_cols_with_data(frame.height() as i32, frame.width() as i32, &pixels)?;
         Ok(self.0.write(&picture)?)
     }
