@@ -102,7 +102,7 @@ impl DomeMaps {
         let mut due = Vec::new();
         for drawing in (self.drawings + 1..).take(self.per_frame.min(left.len())) {
             let worst = left.iter().copied().max_by(|&a, &b| self.wrong(a).total_cmp(&self.wrong(b)));
-            let oldest = left.iter().copied().min_by_key(|&i| self.slots[i].drawing);
+            let oldest = left.iter().copied().min_by_key(|&i| self.slots[i].drawing.max(self.slots[i].since));
             let chosen = if drawing % 2 == 0 { worst.filter(|&i| self.wrong(i) > 0.0) } else { None };
             let Some(i) = chosen.or(oldest) else { break };
             left.retain(|&k| k != i);

@@ -76,6 +76,8 @@ mod tests {
     use super::*;
     use rand::{Rng, SeedableRng, rngs::SmallRng};
 
+    type Path<'a> = &'a dyn Fn(f64) -> Isometry3<f64>;
+
     /// Noise of each parameter.
     const SIGMA: f64 = 1e-3;
 
@@ -114,7 +116,7 @@ mod tests {
 
     #[test]
     fn a_moving_camera_does_not_lag() {
-        let paths: [(&str, &dyn Fn(f64) -> Isometry3<f64>); 3] = [
+        let paths: [(&str, Path); 3] = [
             ("steady", &|t| pose(0.01 * t, 0.02 * t)),
             ("to and fro", &|t| pose(0.1 * (0.1 * t).sin(), 0.2 * (0.08 * t).cos())),
             ("jerks", &|t| if (t as usize / 40).is_multiple_of(2) { pose(0.0, 0.0) } else { pose(0.2, 0.1) }),
