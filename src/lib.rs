@@ -11,8 +11,8 @@
 //! ```
 //!
 //! One module a stage, in the order of the data: [`exposure`] (ingest), [`response`], [`merge`], [`calibrate`], [`probe`],
-//! [`model`], [`illuminate`], [`irradiance`], [`transfer`], [`render`] with [`shadow`], [`subtractive`] and [`occlusion`],
-//! [`composite`], [`evaluate`]. What several of them need: [`image`], [`camera`], [`visibility`], [`sh`], [`least_squares`],
+//! [`model`], [`illuminate`], [`irradiance`], [`transfer`], [`render`] with [`shadow`], [`subtractive`], [`occlusion`] and
+//! [`dome`], [`composite`], [`evaluate`]. [`live`] does the same for a film. What several of them need: [`image`], [`camera`], [`visibility`], [`sh`], [`least_squares`],
 //! [`vision`] (OpenCV), [`gpu`].
 //! What joins them: [`config`] (`pipeline.toml`), [`annotations`], [`artefact`] (files between stages), [`stage`] (the table
 //! of stages and how one runs), [`driver`] (the program `insitu`). Only [`printer`] prints.
@@ -34,6 +34,10 @@
 //! - **tutorial**: Gibson, Chalmers: Photorealistic Augmented Reality, Eurographics 2003 tutorial.
 //! - **decoro2008**: DeCoro, Rusinkiewicz: Subtractive Shadows: A Flexible Framework for Shadow Level of Detail, JGT 13(1), 2008.
 //! - **eisemann2006**: Eisemann, Décoret: Plausible Image Based Soft Shadows Using Occlusion Textures, SIBGRAPI 2006.
+//! - **supan2006**: Supan, Stuppacher, Haller: Image Based Shadowing in Real-Time Augmented Reality, IJVR 5(3), 2006.
+//! - Garrido-Jurado et al.: Automatic Generation and Detection of Highly Reliable Fiducial Markers, Pattern Recognition 2014.
+//! - Kalata: The Tracking Index, IEEE TAES 1984.
+//! - Fuhrmann et al.: Occlusion in Collaborative Augmented Environments, Computers and Graphics 1999.
 //! - Crow: Summed-Area Tables for Texture Mapping, SIGGRAPH 1984.
 //! - Décoret: N-Buffers for Efficient Depth Map Query, Eurographics 2005.
 //! - Agarwal, Ramamoorthi, Belongie, Jensen: Structured Importance Sampling of Environment Maps, SIGGRAPH 2003.
@@ -51,6 +55,7 @@ pub mod camera;
 pub mod cli;
 pub mod composite;
 pub mod config;
+pub mod dome;
 pub mod driver;
 pub mod error;
 pub mod evaluate;
@@ -60,6 +65,7 @@ pub mod illuminate;
 pub mod image;
 pub mod irradiance;
 pub mod least_squares;
+pub mod live;
 pub mod merge;
 pub mod model;
 pub mod occlusion;

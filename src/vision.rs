@@ -1,6 +1,9 @@
-//! OpenCV, and nothing but OpenCV: chessboard corners, lens calibration, poses of a plane.
+//! OpenCV, and nothing but OpenCV: chessboard corners, markers, lens calibration, poses of a plane, video.
 //!
 //! OpenCV counts pixel centres as integers; the shift by half a pixel is made here and nowhere else.
+
+mod markers;
+mod video;
 
 use crate::camera::Intrinsics;
 use crate::image::Image;
@@ -9,12 +12,29 @@ use opencv::core::{Mat, Point2d, Point2f, Point3d, Point3f, Size, TermCriteria, 
 use opencv::prelude::{MatTraitConst, MatTraitConstManual, VectorToVec};
 use opencv::{calib3d, imgproc};
 
+pub use markers::{Marker, marker_cells, markers};
+pub use video::{VideoReader, VideoWriter};
+
 /// OpenCV failed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Problem {
     /// Its own message.
     #[error("OpenCV: {0}")]
     OpenCv(String),
+    /// No such set of markers.
+    #[error("there is no dictionary of markers `{0}`")]
+    Dictionary(String),
+    /// A marker that its dictionary does not hold.
+    #[error("the dictionary has {count} markers, and none with the number {id}")]
+    Marker {
+        /// Its number.
+        id: u32,
+        /// Markers in the dictionary.
+        count: u32,
+    },
+    /// A video that cannot be read or written.
+    #[error("{0}")]
+    Video(&'static str),
 }
 
 impl crate::error::Problem for Problem {
@@ -22,6 +42,11 @@ impl crate::error::Problem for Problem {
         match self {
             Self::OpenCv(_) => {
                 "check that the grid photographs are sharp and the number of corners is right".into()
+            }
+            Self::Dictionary(name) => markers::nearest(name),
+            Self::Marker { .. } => "take another dictionary, or markers with smaller numbers".into(),
+            Self::Video(_) => {
+                "check it with a video player; frames may also come as a folder of pictures".into()
             }
         }
     }

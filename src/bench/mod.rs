@@ -4,6 +4,7 @@
 
 mod breakdown;
 mod cost;
+mod dome;
 mod frames;
 mod gpu;
 mod growth;
@@ -55,6 +56,8 @@ pub enum Table {
     /// Occlusion textures by filter, by rule of combination, by triangles and by the light's size (eisemann2006, Figures 2
     /// and 3), with a plot.
     Occlusion,
+    /// The light dome by lights: time on a film (supan2006, Table 1), errors on captures (Figure 6), the film beside its truth.
+    Dome,
 }
 
 /// What a plain `insitu bench` prints.
@@ -93,6 +96,7 @@ pub fn bench(
             Table::Truth => truth::print(&settings, pictures, printer)?,
             Table::Subtractive => subtractive::print(&settings, environments, pictures, printer)?,
             Table::Occlusion => occlusion::print(&settings, frames, pictures, printer)?,
+            Table::Dome => dome::print(&settings, frames, pictures, printer)?,
             Table::Stages | Table::Frames => {
                 for (file, workspace) in settings.iter().zip(ready(&settings, printer)?) {
                     printer.data(&format!("{}: {threads} threads; times in ms", validate::name(file)));

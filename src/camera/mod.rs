@@ -64,6 +64,9 @@ impl Intrinsics {
         let (mut x, mut y) = (xd, yd);
         for _ in 0..20 {
             let [ex, ey] = self.distort([x, y]);
+            if [ex, ey] == [xd, yd] {
+                break;
+            }
             (x, y) = (x + xd - ex, y + yd - ey);
         }
         [x, y]

@@ -1,6 +1,7 @@
 //! The program `insitu`: runs stages in order, says what is fresh, validates captures in batch, starts new ones.
 
 mod guess;
+pub(crate) mod live;
 mod new;
 pub(crate) mod run;
 mod status;
@@ -86,6 +87,12 @@ enum Command {
         /// Folder of the photographs; the settings are written into it.
         folder: PathBuf,
     },
+    /// Put the object into a film or the frames of a camera, by markers and a mirror ball or a fisheye lens (`[live]`).
+    Live {
+        /// Settings file.
+        #[arg(default_value = "pipeline.toml")]
+        pipeline: PathBuf,
+    },
     /// Measure speed and error: of each stage, of a frame, of the shadow methods, against the truth.
     Bench {
         /// Settings files, and folders to search for them.
@@ -127,6 +134,7 @@ fn start() -> ExitCode {
                 Err(e) => Err(e),
             }
         }
+        Command::Live { pipeline } => live::live(&pipeline, &printer),
         Command::New { folder } => new::new(&folder, &printer),
         Command::Bench { pipelines, frames, tables, environments, pictures } => {
             bench::bench(&pipelines, frames, &tables, environments.as_deref(), pictures.as_deref(), &printer)

@@ -7,6 +7,7 @@ use super::reflected::Reflector;
 use super::shade::{Lighting, Shadowed};
 use crate::camera::Camera;
 use crate::config::{self, ShadowMethod};
+use crate::dome;
 use crate::illuminate::patch::LightModel;
 use crate::image::RadianceImage;
 use crate::irradiance::{Beams, Volume};
@@ -64,6 +65,9 @@ impl Set<'_> {
         let rendered = match self.settings.method {
             ShadowMethod::Subtractive => {
                 render_object(self, object, &environment, &irradiance, &shadowed, pace)
+            }
+            ShadowMethod::LightDome => {
+                dome::render_object(self, object, &environment, &irradiance, &shadowed)
             }
             _ => render(object, self.camera, self.scene_bvh, &lighting, antialiasing, seed),
         };

@@ -29,7 +29,8 @@ impl Caster {
             ShadowMethod::Raytraced | ShadowMethod::OcclusionTextures => Self::new(occluder, 0),
             ShadowMethod::RadianceTransfer
             | ShadowMethod::RadianceTransferLdr
-            | ShadowMethod::Subtractive => Self::new(occluder, settings.caster_triangles),
+            | ShadowMethod::Subtractive
+            | ShadowMethod::LightDome => Self::new(occluder, settings.caster_triangles),
         }
     }
 

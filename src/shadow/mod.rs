@@ -4,6 +4,7 @@
 //! share that j has of the irradiance at x, so the plate's own reflectance is kept and ε never exceeds the plate.
 
 mod caster;
+mod distant;
 mod importance;
 pub mod intensity;
 mod ldr;
@@ -28,6 +29,7 @@ use crate::{error, gpu, occlusion};
 use glam::Vec3;
 
 pub use caster::Caster;
+pub use distant::DistantLookup;
 pub(crate) use plan::{Outlook, Plan};
 pub use projection::{Bounds, MapPlan, OFFSETS, Projection, ShadowOrigin};
 pub use radiance_transfer::RadianceTransfer;

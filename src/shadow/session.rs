@@ -4,6 +4,7 @@
 use super::plan::Outlook;
 use super::{Occluder, Problem, RadianceTransfer, Removed, Scene, raytraced};
 use crate::config::{Backend, Render, ShadowMethod};
+use crate::dome::LightDome;
 use crate::gpu;
 use crate::occlusion::PlateShadow;
 use crate::subtractive::Subtractive;
@@ -25,6 +26,7 @@ enum Method<'a> {
     SubtractiveGpu(Box<gpu::Subtractive<'a>>),
     Occlusion(Box<PlateShadow<'a>>),
     OcclusionGpu(Box<gpu::OcclusionTextures<'a>>),
+    Dome(Box<LightDome<'a>>),
 }
 
 /// A frame of a session.
@@ -53,6 +55,7 @@ impl<'a> Session<'a> {
             (ShadowMethod::OcclusionTextures, Backend::Gpu) => {
                 Method::OcclusionGpu(Box::new(gpu::OcclusionTextures::prepare(scene, settings)?))
             }
+            (ShadowMethod::LightDome, _) => Method::Dome(Box::new(LightDome::prepare(scene, settings)?)),
             // Codes are subtracted on the CPU alone.
             (ShadowMethod::RadianceTransfer, Backend::Cpu) | (ShadowMethod::RadianceTransferLdr, _) => {
                 Method::Cpu(Box::new(RadianceTransfer::prepare(scene, settings)?))
@@ -75,6 +78,7 @@ impl<'a> Session<'a> {
             Method::SubtractiveGpu(method) => method.removed_radiance(occluder)?,
             Method::Occlusion(method) => method.frame(occluder)?,
             Method::OcclusionGpu(method) => method.removed_radiance(occluder)?,
+            Method::Dome(method) => method.frame(occluder)?,
             Method::Cpu(method) => {
                 occluder.check()?;
                 let outlook = method.outlook(occluder);

@@ -37,3 +37,4 @@ pub(crate) use object::render_object;
 pub use plate::Subtractive;
 pub(crate) use plate::{expected_error, half, removed};
 pub use surface::Surface;
+pub(crate) use surface::pixel_angle;

@@ -2,6 +2,9 @@
 
 mod lobby;
 mod shapes;
+pub mod table;
+mod tracer;
 
 pub use lobby::{Lobby, lobby, lobby_of};
 pub use shapes::{blob, camera, cuboid, face};
+pub use tracer::{Ball, Finish, Quad, Tracer};

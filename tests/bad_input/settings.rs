@@ -43,7 +43,7 @@ fn settings_are_shown_with_line_and_column() {
             &[Set("[rendre]\nscale = 2\n")],
             "ingest",
             2,
-            "case.toml:2:2: unknown field `rendre`, expected one of `extends`, `work`, `annotations`, `ingest`, `response`, `merge`, `calibrate`, `probe`, `model`, `illuminate`, `irradiance`, `transfer`, `render`, `composite`, `evaluate`",
+            "case.toml:2:2: unknown field `rendre`, expected one of `extends`, `work`, `annotations`, `ingest`, `response`, `merge`, `calibrate`, `probe`, `model`, `illuminate`, `irradiance`, `transfer`, `render`, `composite`, `evaluate`, `live`",
             "did you mean `render`?",
         ),
         case(
@@ -81,7 +81,7 @@ method = "raytrace"
 "#)],
             "render",
             2,
-            "case.toml:3:10: unknown variant `raytrace`, expected one of `raytraced`, `radiance-transfer`, `radiance-transfer-ldr`, `subtractive`, `occlusion-textures`",
+            "case.toml:3:10: unknown variant `raytrace`, expected one of `raytraced`, `radiance-transfer`, `radiance-transfer-ldr`, `subtractive`, `occlusion-textures`, `light-dome`",
             "did you mean `raytraced`?",
         ),
         case(

@@ -1,0 +1,488 @@
+//! The light dome: as a method for stills against the ray-traced reference on the same model; live on a rendered film with truth.
+
+mod room;
+
+use glam::Vec3;
+use insitu::composite::write_png;
+use insitu::config::{Pipeline, Render, ShadowMethod};
+use insitu::dome::irradiance;
+use insitu::error::Problem as _;
+use insitu::exposure::{Photograph, decode};
+use insitu::illuminate::patch::{DistantSource, LightModel};
+use insitu::image::{Code, CodeImage, Image, RadianceImage, luminance};
+use insitu::live::{Live, Output, Phantoms, Sight};
+use insitu::render::load_object;
+use insitu::response::Response;
+use insitu::shadow::{Occluder, Problem, removed_radiance};
+use insitu::subtractive::Surface;
+use insitu::synthetic::table;
+use nalgebra::{Isometry3, Point2, Point3};
+use room::{Stage, blob, camera, cuboid, errors, face, stage};
+use std::path::{Path, PathBuf};
+
+fn object() -> Occluder {
+    blob(Vec3::new(0.0, 0.17, 0.0), 0.15, 0.15, 24)
+}
+
+fn settings() -> Render {
+    Render { method: ShadowMethod::LightDome, ..Default::default() }
+}
+
+#[test]
+fn centroids_and_splits_come_nearer_to_the_reference() {
+    let stage = stage(0.2, 128, 1.0);
+    let slow = Render { method: ShadowMethod::Raytraced, rays: 512, ..Default::default() };
+    let reference = removed_radiance(&stage.scene(), &object(), &slow).unwrap();
+    let error = |settings: Render| {
+        let found = removed_radiance(&stage.scene(), &object(), &settings).unwrap();
+        let (error, bias) = errors(&stage.plate, &found.epsilon, &reference.epsilon);
+        println!("{} lights: error {error:.3}, bias {bias:+.3}", found.sources_used);
+        assert!(bias.abs() < 0.12, "{bias}");
+        error
+    };
+    for (dome_texels, bounds) in [(2, [0.45, 0.12]), (4, [0.2, 0.08]), (8, [0.1, 0.05])] {
+        let plain = error(Render { dome_texels, dome_centroid: false, dome_splits: 0, ..settings() });
+        let split = error(Render { dome_texels, ..settings() });
+        assert!(plain < bounds[0] && split < bounds[1] && split < 0.55 * plain, "{plain} {split}");
+    }
+}
+
+/// A floor under a dim sky and a sun.
+fn sunny(sun: Vec3) -> Stage {
+    let sun = DistantSource { direction: sun.normalize(), solid_angle_sr: 1e-3, radiance: [3e3; 3] };
+    let around = (0..200).map(|i| {
+        let (a, y) = (i as f32 * 2.399_963, (i as f32 + 0.5) / 200.0);
+        let direction = Vec3::new((1.0 - y * y).sqrt() * a.cos(), y, (1.0 - y * y).sqrt() * a.sin());
+        DistantSource { direction, solid_angle_sr: std::f32::consts::TAU / 200.0, radiance: [0.3; 3] }
+    });
+    let mut light = LightModel { distant: around.chain([sun]).collect(), ..Default::default() };
+    face(&mut light.mesh, Vec3::new(-1.0, 0.0, -1.0), Vec3::Z * 2.0, Vec3::X * 2.0, 0.1, |_| [0.1; 3]);
+    let share = insitu::config::Transfer { source_share: 1.0, ..Default::default() };
+    Stage::new(light, &camera([0.3, 0.9, 0.9], [0.0, 0.0, 0.0], 128, 96, 130.0), &share)
+}
+
+#[test]
+fn a_small_bright_light_between_two_of_the_dome_is_cured_by_each_option() {
+    let object = cuboid(Vec3::new(0.0, 0.15, 0.0), Vec3::new(0.05, 0.15, 0.05));
+    // Off the middle of its texel, and on the border of two.
+    for sun in [Vec3::new(0.36, 1.0, 0.1), Vec3::new(0.5, 1.0, 0.28)] {
+        let stage = sunny(sun);
+        let slow = Render { method: ShadowMethod::Raytraced, rays: 512, ..Default::default() };
+        let reference = removed_radiance(&stage.scene(), &object, &slow).unwrap();
+        let error = |dome_centroid, dome_splits| {
+            let settings = Render { dome_texels: 4, dome_centroid, dome_splits, ..settings() };
+            let found = removed_radiance(&stage.scene(), &object, &settings).unwrap();
+            errors(&stage.plate, &found.epsilon, &reference.epsilon).0
+        };
+        let [plain, centroid, split] = [error(false, 0), error(true, 0), error(true, 16)];
+        println!("plain {plain:.3}, at centroids {centroid:.3}, split {split:.3}");
+        assert!(centroid < 0.6 * plain && split < 0.5 * plain, "{plain} {centroid} {split}");
+    }
+}
+
+#[test]
+fn no_more_is_removed_than_was_there_and_nothing_far_from_the_object() {
+    let stage = stage(0.4, 64, 1.0);
+    let lid = cuboid(Vec3::new(0.0, 0.05, 0.0), Vec3::new(1.99, 0.002, 1.99));
+    let removed = removed_radiance(&stage.scene(), &lid, &settings()).unwrap();
+    for (b, e) in stage.plate.pixels().iter().zip(removed.epsilon.pixels()) {
+        assert!((0..3).all(|c| e.0[c] >= 0.0 && e.0[c] <= b.0[c]), "{e:?} of {b:?}");
+    }
+    let crumb = cuboid(Vec3::new(1.5, 2.5, -1.5), Vec3::splat(0.005));
+    let removed = removed_radiance(&stage.scene(), &crumb, &settings()).unwrap();
+    let gone: f32 = removed.epsilon.pixels().iter().map(|e| e.luminance()).sum();
+    let there: f32 = stage.plate.pixels().iter().map(|p| p.luminance()).sum();
+    assert!(gone < 1e-3 * there, "{gone} of {there}");
+}
+
+#[test]
+fn bad_settings_and_darkness_are_refused() {
+    let stage = stage(0.8, 40, 0.9);
+    let refused = |settings: Render| removed_radiance(&stage.scene(), &object(), &settings).unwrap_err();
+    let odd = refused(Render { dome_texels: 6, ..settings() });
+    assert_eq!(odd.to_string(), "dome_texels is 6, which is not 1, 2, 4, 8, 16 or 32");
+    let mut dark = stage.light.clone();
+    dark.mesh.patches.iter_mut().for_each(|p| p.radiance = [0.0; 3]);
+    let scene = insitu::shadow::Scene { light: &dark, ..stage.scene() };
+    let error = removed_radiance(&scene, &object(), &settings()).unwrap_err();
+    assert!(matches!(error, Problem::Dark), "{error}");
+}
+
+/// Of the film's frames.
+const FIRST_AFTER_START: usize = 5;
+
+fn sequence() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/sequence")
+}
+
+fn codes(path: &Path) -> CodeImage {
+    match decode(path).unwrap() {
+        Photograph::Codes(codes) => codes,
+        Photograph::Linear(_) => panic!("{} is linear", path.display()),
+    }
+}
+
+/// A film of the sequence in one of its set-ups.
+struct Film {
+    live: Live,
+    second: Option<&'static str>,
+}
+
+impl Film {
+    fn new(name: &str, change: impl FnOnce(&mut Pipeline)) -> Self {
+        let folder = sequence();
+        let mut pipeline = Pipeline::read(&folder.join(name)).unwrap();
+        pipeline.render.antialiasing = 1;
+        change(&mut pipeline);
+        let second = match name {
+            "two_cameras.toml" => Some("ball"),
+            "fisheye.toml" => Some("fisheye"),
+            _ => None,
+        };
+        let size = second.map(|folder| codes(&sequence().join(folder).join("0000.jpg")).size());
+        let object = load_object(&folder.join(&pipeline.render.object), &pipeline.render).unwrap();
+        let phantoms = Phantoms::of(&pipeline.live, None).unwrap();
+        let live = Live::new(&pipeline, Response::srgb(), object, phantoms, (400, 300), size).unwrap();
+        Self { live, second }
+    }
+
+    fn frame(&mut self, i: usize) -> Output {
+        self.shown(&scene(i), i)
+    }
+
+    fn shown(&mut self, frame: &CodeImage, i: usize) -> Output {
+        let second = self.second.map(|folder| codes(&sequence().join(format!("{folder}/{i:04}.jpg"))));
+        self.live.frame(frame, second.as_ref()).unwrap()
+    }
+}
+
+fn scene(i: usize) -> CodeImage {
+    codes(&sequence().join(format!("frames/{i:04}.jpg")))
+}
+
+fn linear(image: &CodeImage) -> RadianceImage {
+    let response = Response::srgb();
+    image.map(|c| insitu::image::Radiance(response.exposure_of(c.0)))
+}
+
+/// Corners of the board and the object's place, as a pose shows them, px.
+fn shown(pose: &Isometry3<f64>) -> Vec<Point2<f64>> {
+    let mut camera = table::camera_of(0);
+    camera.world_from_camera = *pose;
+    let places =
+        [[-0.17, 0.0, -0.12], [0.17, 0.0, -0.12], [0.17, 0.0, 0.12], [-0.17, 0.0, 0.12], [0.0, 0.1, 0.0]];
+    places.iter().map(|p| camera.project(&Point3::from(*p)).unwrap()).collect()
+}
+
+fn apart(a: &[Point2<f64>], b: &[Point2<f64>]) -> f64 {
+    (a.iter().zip(b).map(|(a, b)| (a - b).norm_squared()).sum::<f64>() / a.len() as f64).sqrt()
+}
+
+#[test]
+fn a_still_camera_does_not_tremble_and_a_moving_one_does_not_lag() {
+    let mut film = Film::new("one_camera.toml", |_| {});
+    let (mut still, mut raw, mut off) = (Vec::new(), Vec::new(), Vec::new());
+    for i in 0..table::FRAMES {
+        let tracked = film.frame(i).tracked;
+        let pose = tracked.camera.unwrap().world_from_camera;
+        if (FIRST_AFTER_START..table::MOVES_FROM).contains(&i) {
+            still.push(shown(&pose));
+            raw.push(shown(&tracked.measured.unwrap()));
+        }
+        off.push(apart(&shown(&pose), &shown(&table::camera_of(i).world_from_camera)));
+    }
+    let jitter = |poses: &[Vec<Point2<f64>>]| {
+        let mean: Vec<Point2<f64>> = (0..poses[0].len())
+            .map(|k| {
+                Point2::from(
+                    poses.iter().map(|p| p[k].coords).sum::<nalgebra::Vector2<f64>>() / poses.len() as f64,
+                )
+            })
+            .collect();
+        (poses.iter().map(|p| apart(p, &mean).powi(2)).sum::<f64>() / poses.len() as f64).sqrt()
+    };
+    let moving = &off[table::MOVES_FROM..];
+    let rms = (moving.iter().map(|o| o * o).sum::<f64>() / moving.len() as f64).sqrt();
+    println!(
+        "jitter {:.3} px, of the markers' poses {:.3} px; off when still {:.3} px, in motion {rms:.3} px rms, {:.3} at most",
+        jitter(&still),
+        jitter(&raw),
+        off[table::MOVES_FROM - 1],
+        moving.iter().fold(0.0f64, |a, b| a.max(*b))
+    );
+    assert!(jitter(&still) < 0.3 && jitter(&still) < jitter(&raw));
+    assert!(rms < 0.6, "{rms}");
+}
+
+/// Share of its light that a place of the table loses, and R of it.
+fn lost(live: &Live, place: Vec3) -> ([f32; 3], f32) {
+    let up = Vec3::Y;
+    let surface =
+        Surface { position: place, normal: up, face_normal: up, viewer: up, material: 0, pixel_m: 1e-3 };
+    let lights: Vec<_> = live.maps().lights().copied().collect();
+    let (gone, all) = (live.maps().shadow_buffer(&[surface])[0], irradiance(&lights, up));
+    (gone, luminance(gone) / luminance(all))
+}
+
+#[test]
+fn the_shadow_follows_the_lamp_in_direction_and_colour() {
+    for name in ["one_camera.toml", "two_cameras.toml", "fisheye.toml"] {
+        let mut film = Film::new(name, |_| {});
+        let lamp = Vec3::new(1.325, 1.9, 0.525);
+        let mut before = 0.0;
+        for i in table::LAMP_FROM - 3..table::LAMP_FROM + 14 {
+            film.frame(i);
+            // The path begins with the film.
+            let anchor = table::pose_of(i + 3 - table::LAMP_FROM).0 + Vec3::Y * 0.07;
+            let towards = (lamp - anchor).normalize();
+            // Where the lamp's shadow of the object's middle falls.
+            let behind = anchor - towards * (anchor.y / towards.y);
+            let (gone, share) = lost(&film.live, behind);
+            if i < table::LAMP_FROM {
+                before = share;
+                continue;
+            }
+            // Brightness and direction count at once, a map of its own within two frames for the worst light.
+            if i >= table::LAMP_FROM + 2 {
+                let lights: Vec<_> = film.live.maps().lights().copied().collect();
+                let warm = |l: &&insitu::dome::DomeLight| l.power()[0] > 1.4 * l.power()[2];
+                let (mut mean, mut power) = (Vec3::ZERO, 0.0);
+                for light in lights.iter().filter(|l| l.source.direction.dot(towards) > 0.9).filter(warm) {
+                    mean += light.source.direction * luminance(light.power());
+                    power += luminance(light.power());
+                }
+                let off = (mean / power).angle_between(towards).to_degrees();
+                println!("{name}, frame {i}: {share:.2} after {before:.2}, {gone:?}, {off:.1}° off");
+                assert!(share > before + 0.2, "frame {i}: {share} after {before}");
+                assert!(gone[0] > 1.3 * gone[2], "the lamp is warm, its shadow takes warm light: {gone:?}");
+                assert!(off < 5.0, "{off}°");
+            }
+        }
+    }
+}
+
+#[test]
+fn nothing_pops() {
+    let mut film = Film::new("one_camera.toml", |_| {});
+    let places: Vec<Vec3> = (0..900)
+        .map(|i| Vec3::new(i as f32 % 30.0 * 0.02 - 0.3, 0.0, i as f32 / 30.0 * 0.02 - 0.3))
+        .collect();
+    let (mut last, mut worst, mut worst_mean): (Vec<f32>, f32, f32) = (Vec::new(), 0.0, 0.0);
+    let mut most_lights = 0;
+    for i in 0..table::FRAMES {
+        let output = film.frame(i);
+        let shares: Vec<f32> = places.iter().map(|p| lost(&film.live, *p).1).collect();
+        most_lights = most_lights.max(output.lights);
+        let age = film.live.maps().oldest();
+        assert!(age <= (2 * most_lights + 16) as u64, "frame {i}: {age} drawings with {most_lights} lights");
+        if i > 0 && i != table::LAMP_FROM {
+            // Where a place was or is under the object itself nobody looks.
+            let foot = table::pose_of(i).0;
+            let changes =
+                places.iter().zip(shares.iter().zip(&last)).filter(|(p, _)| p.distance(foot) > 0.06);
+            let changes: Vec<f32> = changes.map(|(_, (a, b))| (a - b).abs()).collect();
+            let mean = changes.iter().sum::<f32>() / changes.len() as f32;
+            let most = changes.iter().fold(0.0f32, |a, b| a.max(*b));
+            (worst, worst_mean) = (worst.max(most), worst_mean.max(mean));
+        }
+        last = shares;
+    }
+    println!(
+        "from frame to frame a place's share changes by {worst:.3} at most, by {worst_mean:.4} in the mean"
+    );
+    assert!(worst < 0.5 && worst_mean < 0.02, "{worst} {worst_mean}");
+}
+
+/// Error and bias of what is removed where truth removes more than 5 %, objects left out, over the frames with truth.
+fn against_truth(name: &str) -> [[f64; 2]; 2] {
+    let mut film = Film::new(name, |p| p.render.antialiasing = 2);
+    let mut halves = [[0.0f64; 4]; 2];
+    for i in 0..table::FRAMES {
+        let output = film.frame(i);
+        if i % 10 != 9 {
+            continue;
+        }
+        let file = |name: String| linear(&codes(&sequence().join("truth").join(name)));
+        let (with, empty, plate) =
+            (file(format!("{i:04}.jpg")), file(format!("empty_{i:04}.jpg")), linear(&scene(i)));
+        let half = usize::from(i >= table::LAMP_FROM);
+        let (w, h) = with.size();
+        // The object is redder than all else.
+        let red = |p: &RadianceImage, x: usize, y: usize| {
+            let c = p.at(x, y).0;
+            c[0] > 1.6 * c[1]
+        };
+        let object = |x: usize, y: usize| {
+            (y.saturating_sub(3)..(y + 4).min(h))
+                .flat_map(|y| (x.saturating_sub(3)..(x + 4).min(w)).map(move |x| (x, y)))
+                .any(|(x, y)| red(&with, x, y) || red(&output.radiance, x, y))
+        };
+        // Means over 3 × 3 px: single pixels are noise.
+        for (y, x) in (1..h / 3 - 1).flat_map(|y| (1..w / 3 - 1).map(move |x| (3 * y, 3 * x))) {
+            let mean = |a: &RadianceImage, k: usize| {
+                (0..9).map(|i| f64::from(a.at(x + i % 3, y + i / 3).0[k])).sum::<f64>() / 9.0
+            };
+            let [t, b] = [&with, &empty].map(|a| (0..3).map(|k| mean(a, k)).sum::<f64>());
+            if t > 0.95 * b || object(x + 1, y + 1) {
+                continue;
+            }
+            for k in 0..3 {
+                let truth = mean(&empty, k) - mean(&with, k);
+                let ours = mean(&plate, k) - mean(&output.radiance, k);
+                let sums = &mut halves[half];
+                sums[0] += (ours - truth).powi(2);
+                sums[1] += truth * truth;
+                sums[2] += ours;
+                sums[3] += truth;
+            }
+        }
+    }
+    halves.map(|s| [(s[0] / s[1]).sqrt(), s[2] / s[3] - 1.0])
+}
+
+#[test]
+fn frames_come_near_to_those_with_a_real_object() {
+    for (name, bounds) in
+        [("one_camera.toml", [0.3, 0.42]), ("two_cameras.toml", [0.3, 0.35]), ("fisheye.toml", [0.3, 0.4])]
+    {
+        let found = against_truth(name);
+        println!(
+            "{name}: relative shadow error and bias {found:.3?}, before and after the lamp is switched on"
+        );
+        for (half, [error, bias]) in found.into_iter().enumerate() {
+            assert!(error < bounds[half] && bias.abs() < 0.3, "{name}: {found:?}");
+        }
+    }
+}
+
+#[test]
+fn lost_markers_hold_the_pose_then_fade_the_object_and_it_says_so() {
+    let mut film = Film::new("one_camera.toml", |p| (p.live.hold_frames, p.live.fade_frames) = (3, 4));
+    let grey = Image::from_fn(400, 300, |_, _| Code([0.4; 3]));
+    let mut said = Vec::new();
+    let mut opacity = Vec::new();
+    for i in 0..14 {
+        let output = if (4..13).contains(&i) { film.shown(&grey, i) } else { film.frame(i) };
+        said.extend(output.notices);
+        opacity.push(output.tracked.opacity);
+        if i == 5 {
+            assert_eq!(output.tracked.sight, Sight::Held(2));
+            assert!(output.picture != grey, "the object is still there");
+        }
+    }
+    assert_eq!(opacity[..7], [1.0; 7]);
+    assert!(
+        opacity[6..12].windows(2).all(|w| w[1] < w[0]) && opacity[12] == 0.0 && opacity[13] == 1.0,
+        "{opacity:?}"
+    );
+    assert_eq!(
+        said,
+        [
+            "frame 4: no marker is seen; the last pose is held",
+            "frame 7: no marker was seen in 4 frames; the object fades",
+            "frame 11: the object is gone until a marker is seen",
+            "frame 13: 10 markers are seen again",
+        ]
+    );
+}
+
+#[test]
+fn a_ball_out_of_the_frame_keeps_the_last_light_or_is_refused() {
+    let mut film = Film::new("one_camera.toml", |p| p.live.ball_centre_m = [2.0, 0.0, 0.06]);
+    let output = film.frame(0);
+    assert_eq!(
+        output.notices,
+        [
+            "frame 0: the mirror ball is out of the frame: 100 % of its outline lie outside; there is no light yet"
+        ]
+    );
+    assert!(output.picture == scene(0), "nothing is put into the frame");
+    let refused = film.live.finish().unwrap_err();
+    assert_eq!(
+        (refused.to_string().as_str(), refused.hint().as_str()),
+        (
+            "in none of 1 frames is the environment seen: the mirror ball is out of the frame: 100 % of its outline lie outside",
+            "check live.ball_centre_m and probe.radius_m, or keep the ball in the picture"
+        )
+    );
+}
+
+#[test]
+fn frames_of_another_size_are_refused() {
+    let mut film = Film::new("one_camera.toml", |_| {});
+    film.frame(0);
+    let small = Image::from_fn(320, 240, |_, _| Code([0.4; 3]));
+    let Err(refused) = film.live.frame(&small, None) else { panic!("taken") };
+    assert_eq!(refused.to_string(), "frame 1 is 320×240 px, those before it 400×300 px");
+    assert_eq!(refused.hint(), "give frames of one size: cut the film where its size changes");
+}
+
+/// Runs `insitu live` on settings in a folder of their own beside the sequence's files.
+fn run(change: impl FnOnce(&Path)) -> (Option<i32>, String, tempfile::TempDir) {
+    let folder = tempfile::tempdir().unwrap();
+    let text = std::fs::read_to_string(sequence().join("one_camera.toml")).unwrap();
+    std::fs::write(folder.path().join("one_camera.toml"), text).unwrap();
+    std::fs::copy(sequence().join("object.obj"), folder.path().join("object.obj")).unwrap();
+    std::fs::create_dir(folder.path().join("frames")).unwrap();
+    change(folder.path());
+    let output = std::process::Command::new(env!("CARGO_BIN_EXE_insitu"))
+        .current_dir(folder.path())
+        .args(["live", "one_camera.toml"])
+        .output()
+        .unwrap();
+    (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned(), folder)
+}
+
+#[test]
+fn the_command_writes_frames_and_a_video_that_it_can_read_again() {
+    let (status, said, folder) = run(|folder| {
+        for i in 0..3 {
+            let name = format!("frames/{i:04}.jpg");
+            std::fs::copy(sequence().join(&name), folder.join(&name)).unwrap();
+        }
+    });
+    assert_eq!(status, Some(0), "{said}");
+    let first = codes(&folder.path().join("live/frame_0000.png"));
+    assert!(first.size() == (400, 300) && first != scene(0), "the object is in it");
+    // The film as a video.
+    let (status, said, again) = run(|other| {
+        std::fs::copy(folder.path().join("live/live.avi"), other.join("film.avi")).unwrap();
+        let settings = other.join("one_camera.toml");
+        let text = std::fs::read_to_string(&settings)
+            .unwrap()
+            .replace("frames = \"frames\"", "frames = \"film.avi\"");
+        std::fs::write(settings, text).unwrap();
+    });
+    assert_eq!(status, Some(0), "{said}");
+    assert!(again.path().join("live/frame_0002.png").exists());
+}
+
+#[test]
+fn what_is_no_film_is_refused_with_what_to_do() {
+    let (status, said, _) = run(|_| {});
+    assert_eq!(status, Some(1));
+    assert_eq!(
+        said,
+        "error: putting the object into the film: the video has no frames\nhint: check live.frames, and play the video\n"
+    );
+    let blank = |folder: &Path| {
+        let grey = Image::from_fn(400, 300, |_, _| Code([0.4; 3]));
+        write_png(&folder.join("frames/0000.png"), &grey).unwrap();
+    };
+    let (status, said, _) = run(blank);
+    assert_eq!(status, Some(1));
+    assert_eq!(
+        said,
+        "warning: frame 0: no marker is seen yet\nerror: putting the object into the film: no marker of the settings was seen \
+         in any of 1 frames\nhint: check live.dictionary, the numbers of the markers, and that they are in focus\n"
+    );
+    let (status, said, _) = run(|folder| {
+        blank(folder);
+        let settings = folder.join("one_camera.toml");
+        let text =
+            std::fs::read_to_string(&settings).unwrap().replace("focal_px = 430.0", "dictionary = \"4x4_5\"");
+        std::fs::write(settings, text).unwrap();
+    });
+    assert_eq!(status, Some(1));
+    assert!(said.contains("`live.focal_px` is not given"), "{said}");
+}
