@@ -36,7 +36,7 @@
 //! - **eisemann2006**: Eisemann, Décoret: Plausible Image Based Soft Shadows Using Occlusion Textures, SIBGRAPI 2006.
 //! - **supan2006**: Supan, Stuppacher, Haller: Image Based Shadowing in Real-Time Augmented Reality, IJVR 5(3), 2006.
 //! - Garrido-Jurado et al.: Automatic Generation and Detection of Highly Reliable Fiducial Markers, Pattern Recognition 2014.
-//! - Kalata: The Tracking Index, IEEE TAES 1984.
+//! - Benedict and Bordner: Synthesis of an Optimal Set of Radar Track-While-Scan Smoothing Equations, IRE TAC 1962.
 //! - Fuhrmann et al.: Occlusion in Collaborative Augmented Environments, Computers and Graphics 1999.
 //! - Crow: Summed-Area Tables for Texture Mapping, SIGGRAPH 1984.
 //! - Décoret: N-Buffers for Efficient Depth Map Query, Eurographics 2005.

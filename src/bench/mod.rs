@@ -10,6 +10,7 @@ mod gpu;
 mod growth;
 mod intensity;
 mod ldr;
+mod methods;
 mod occlusion;
 mod passes;
 mod plot;
@@ -50,6 +51,8 @@ pub enum Table {
     Breakdown,
     /// The methods against a capture's truth, with the true scene model.
     Truth,
+    /// All methods by their knobs: cost, and error against rays and against a capture's truth.
+    Methods,
     /// Subtractive and additive shadows by lights and sampling detail (decoro2008, Figures 3 and 5), on the environments of
     /// a folder, with a plot.
     Subtractive,
@@ -94,6 +97,7 @@ pub fn bench(
             Table::Ldr => ldr::print(&settings, &ready(&settings, printer)?, pictures, printer)?,
             Table::Breakdown => breakdown::print(&settings, printer)?,
             Table::Truth => truth::print(&settings, pictures, printer)?,
+            Table::Methods => methods::print(&settings, frames, printer)?,
             Table::Subtractive => subtractive::print(&settings, environments, pictures, printer)?,
             Table::Occlusion => occlusion::print(&settings, frames, pictures, printer)?,
             Table::Dome => dome::print(&settings, frames, pictures, printer)?,

@@ -5,9 +5,11 @@ use crate::config::{Render, Transfer};
 use crate::error::{Context as _, Result};
 use crate::image::{RadianceImage, luminance};
 use crate::shadow::{self, Caster, Occluder, Removed, Scene, Session};
+use crate::stage::{peak_memory_mib, reset_peak_memory};
 use crate::synthetic::{Lobby, lobby_of};
 use crate::transfer::{Transfers, solve};
 use glam::Vec3;
+use std::time::Instant;
 
 /// Share of the lobby's light that its source set holds; what the fixtures' settings say.
 const SHARE: f64 = 0.98;
@@ -57,8 +59,12 @@ pub(super) struct Subject<'a> {
 /// ε of one setting, and the times of its frames.
 pub(super) struct Shot {
     pub removed: Removed,
+    /// Time of preparing what stays, ms.
+    pub prepared_ms: f64,
     /// Each frame, ms.
     pub ms: Vec<f64>,
+    /// Memory above that before, MiB.
+    pub memory_mib: f64,
 }
 
 impl<'a> Subject<'a> {
@@ -81,9 +87,17 @@ impl<'a> Subject<'a> {
 
     /// A frame's ε with so many passes (0: one a source), and the times of `frames` more; the first one warms caches.
     pub fn passes(&self, passes: usize, frames: usize) -> Result<Shot> {
-        let settings = Render { passes, ..self.settings.clone() };
-        let caster = Caster::new(&self.occluder, settings.caster_triangles).occluder;
-        let mut session = Session::prepare(&self.scene, &settings).doing("preparing the shadow method")?;
+        self.shot(&Render { passes, ..self.settings.clone() }, frames)
+    }
+
+    /// The same by any method and settings.
+    pub fn shot(&self, settings: &Render, frames: usize) -> Result<Shot> {
+        let caster = Caster::of(&self.occluder, settings).occluder;
+        reset_peak_memory();
+        let before = peak_memory_mib();
+        let started = Instant::now();
+        let mut session = Session::prepare(&self.scene, settings).doing("preparing the shadow method")?;
+        let prepared_ms = 1e3 * started.elapsed().as_secs_f64();
         let removed = session.frame(&caster).doing("finding the shadow")?.removed;
         let mut ms = Vec::with_capacity(frames);
         for frame in 0..frames {
@@ -93,7 +107,7 @@ impl<'a> Subject<'a> {
             moved.vertices.iter_mut().for_each(|v| *v += by);
             ms.push(1e3 * session.frame(&moved).doing("finding the shadow")?.seconds);
         }
-        Ok(Shot { removed, ms })
+        Ok(Shot { removed, prepared_ms, ms, memory_mib: peak_memory_mib() - before })
     }
 
     /// ε by rays; other seeds are other samples.

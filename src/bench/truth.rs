@@ -43,8 +43,10 @@ pub(super) struct Verdict {
     pub comparison: Comparison,
     pub composite: RadianceImage,
     pub plate: RadianceImage,
-    error: f64,
-    bias: f64,
+    pub error: f64,
+    pub bias: f64,
+    /// Mean ꟻLIP of the picture.
+    pub flip: f64,
     /// Share of the light that is gone at the darkest twentieth of the shadow: ours, and in truth.
     depth: [f64; 2],
 }
@@ -68,7 +70,7 @@ impl Judged {
     }
 
     /// What the object takes by its shadow less what it gives by its light.
-    fn net(&self, removed: &RadianceImage) -> Result<RadianceImage> {
+    pub fn net(&self, removed: &RadianceImage) -> Result<RadianceImage> {
         net(removed, &self.reflected).doing("adding the object's light")
     }
 
@@ -89,6 +91,7 @@ impl Judged {
         Ok(Verdict {
             error: value("relative_shadow_error"),
             bias: value("shadow_energy_bias"),
+            flip: value("flip"),
             depth,
             comparison,
             composite,
@@ -161,7 +164,7 @@ pub(super) fn print(settings: &[PathBuf], pictures: Option<&Path>, printer: &Pri
     let width = settings.iter().map(|s| validate::name(s).len()).max().unwrap_or(0).max(7);
     printer.data(&format!(
         "{:<width$}{:>22}{:>34}{:>8}{:>14}{:>8}{:>9}",
-        "capture", "radiance-transfer", "raytraced", "noise", "depth", "Cycles", "Mitsuba"
+        "capture", "by the settings", "raytraced", "noise", "depth", "Cycles", "Mitsuba"
     ));
     for file in settings {
         if !has_truth(file)? {

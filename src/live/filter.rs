@@ -1,4 +1,4 @@
-//! A pose filter of constant velocity (the α–β filter, Kalata 1984) whose gain follows the innovation: where a measured pose
+//! A pose filter of constant velocity (the α–β filter, Benedict and Bordner 1962) whose gain follows the innovation: where a measured pose
 //! differs from the predicted one by noise alone, it is mostly noise, and where by more, the camera has moved.
 //!
 //! All six parameters have one gain. The errors of a camera's place and turn cancel in the picture, and would not if one were
@@ -9,7 +9,7 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 /// Gain where innovation is noise.
 const LEAST_GAIN: f64 = 0.12;
 /// Innovation, in standard deviations of the noise, at which the gain is half-way to 1.
-const HALF_WAY: f64 = 4.0;
+const HALF_WAY: f64 = 2.4;
 
 /// What is known of a moving camera.
 #[derive(Debug, Clone, Default)]
@@ -43,10 +43,10 @@ impl Filter {
             return measured;
         };
         let innovation = apart(&predicted, &measured);
-        let squared = (innovation / HALF_WAY).powi(2);
-        let gain = LEAST_GAIN.max(squared / (1.0 + squared));
-        // Kalata's relation of both gains.
-        let velocity_gain = 2.0 * (2.0 - gain) - 4.0 * (1.0 - gain).sqrt();
+        let motion = (innovation / HALF_WAY).powi(4);
+        let gain = LEAST_GAIN.max(motion / (1.0 + motion));
+        // Benedict and Bordner's relation of both gains: no overshoot after a jump.
+        let velocity_gain = gain * gain / (2.0 - gain);
         let step = [
             measured.translation.vector - predicted.translation.vector,
             (measured.rotation * predicted.rotation.inverse()).scaled_axis(),

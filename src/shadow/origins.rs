@@ -359,7 +359,7 @@ mod tests {
         fn shares_are_kept_and_the_mean_position_too(patches in 1u32..20, most in 2usize..200) {
             let (light, sources, seen) = light(patches);
             let found = origins(&light, &sources, &seen, &[0], most);
-            prop_assert!(found.len() <= most.max(1));
+            prop_assert!(found.len() <= most.max(LEAST));
             prop_assert!((found.iter().map(|o| o.share).sum::<f64>() - 1.0).abs() < 1e-9);
             let mean: DVec3 = found.iter().map(|o| match o.at {
                 ShadowOrigin::Point(p) => p.as_dvec3() * o.share,
