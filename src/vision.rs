@@ -1,6 +1,9 @@
-//! OpenCV, and nothing but OpenCV: chessboard corners, lens calibration, poses of a plane.
+//! OpenCV, and nothing but OpenCV: chessboard corners, lens calibration, poses of a plane, and its own merging of
+//! exposures, which insitu is measured beside.
 //!
 //! OpenCV counts pixel centres as integers; the shift by half a pixel is made here and nowhere else.
+
+pub mod hdr;
 
 use crate::camera::Intrinsics;
 use crate::image::Image;

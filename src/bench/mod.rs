@@ -12,6 +12,7 @@ mod ldr;
 mod occlusion;
 mod passes;
 mod plot;
+mod radiometry;
 mod statics;
 mod subject;
 mod subtractive;
@@ -55,6 +56,8 @@ pub enum Table {
     /// Occlusion textures by filter, by rule of combination, by triangles and by the light's size (eisemann2006, Figures 2
     /// and 3), with a plot.
     Occlusion,
+    /// Response and merged radiance against the truth, beside OpenCV and pfstools; takes folders of exposures, too.
+    Radiometry,
 }
 
 /// What a plain `insitu bench` prints.
@@ -77,7 +80,9 @@ pub fn bench(
         });
     }
     let threads = std::thread::available_parallelism().map_or(1, |n| n.get());
-    let settings = validate::settings_under(paths)?;
+    // Folders of exposures have no settings.
+    let others = tables.is_empty() || tables.iter().any(|t| *t != Table::Radiometry);
+    let settings = if others { validate::settings_under(paths)? } else { Vec::new() };
     if let Some(folder) = pictures {
         std::fs::create_dir_all(folder).at("making a folder for pictures", folder)?;
     }
@@ -92,6 +97,7 @@ pub fn bench(
             Table::Breakdown => breakdown::print(&settings, printer)?,
             Table::Truth => truth::print(&settings, pictures, printer)?,
             Table::Subtractive => subtractive::print(&settings, environments, pictures, printer)?,
+            Table::Radiometry => radiometry::print(paths, printer)?,
             Table::Occlusion => occlusion::print(&settings, frames, pictures, printer)?,
             Table::Stages | Table::Frames => {
                 for (file, workspace) in settings.iter().zip(ready(&settings, printer)?) {

@@ -1,0 +1,109 @@
+//! Exposures to radiance: curve and radiance against the truth of rendered captures or a published map, residuals on
+//! exposures that did not enter, beside OpenCV and pfstools on the same input.
+
+mod errors;
+mod folder;
+mod peers;
+mod subject;
+
+use self::errors::{curve_stops, log_ratio_stops, quantiles, relative};
+use self::peers::{Made, PEERS};
+use self::subject::Subject;
+use crate::config;
+use crate::error::{Context as _, Result};
+use crate::image::{Image, RadianceImage};
+use crate::merge;
+use crate::printer::Printer;
+use crate::response;
+use std::path::PathBuf;
+use std::time::Instant;
+
+/// Prints the tables of every capture and folder of exposures named.
+pub(super) fn print(paths: &[PathBuf], printer: &Printer) -> Result<()> {
+    for path in paths {
+        for subject in Subject::under(path, printer)? {
+            one(&subject, printer)?;
+        }
+    }
+    Ok(())
+}
+
+/// What a program made, with the figures that it is judged by.
+struct Row<'a> {
+    name: String,
+    curves: Option<&'a [Vec<f64>; 3]>,
+    radiance: &'a RadianceImage,
+    variance: Option<&'a Image<[f32; 3]>>,
+    residual: Option<[f64; 3]>,
+    seconds: f64,
+}
+
+fn one(subject: &Subject, printer: &Printer) -> Result<()> {
+    let (width, height) = subject.images[0].size();
+    printer.data(&format!("\n{}: {} exposures of {width}×{height} px", subject.name, subject.images.len()));
+    subject.remarks.iter().for_each(|r| printer.data(r));
+    printer.data(&format!(
+        "{:<20}{:>24}{:>16}{:>8}{:>24}{:>24}{:>8}",
+        "", "curve, stops (R G B)", "radiance, %", "in 1σ", "published, stops", "residual, stops", "s"
+    ));
+    let started = Instant::now();
+    let frames = subject.frames();
+    let response = response::fit(&frames, &config::Response::default()).doing("fitting the response")?;
+    let merged = merge::merge(&frames, &response, 1.0, &config::Merge::default()).doing("merging")?;
+    let seconds = started.elapsed().as_secs_f64();
+    let curves = response.curves.each_ref().map(|c| c.exposure.clone());
+    let quality = response.quality.as_ref();
+    row(
+        subject,
+        &Row {
+            name: "insitu".into(),
+            curves: Some(&curves),
+            radiance: &merged.radiance,
+            variance: Some(&merged.variance),
+            residual: quality.map(|q| q.rms_stops),
+            seconds,
+        },
+        printer,
+    );
+    for peer in PEERS {
+        match peer.make(subject)? {
+            Ok(Made { curves, radiance, seconds }) => row(
+                subject,
+                &Row { name: peer.name(), curves: curves.as_ref(), radiance: &radiance, variance: None, residual: None, seconds },
+                printer,
+            ),
+            Err(why) => printer.data(&format!("{:<20}  {why}", peer.name())),
+        }
+    }
+    if let Some(q) = quality {
+        printer.data(&format!("frames off, stops: {}", q.frame_stops.iter().map(|s| format!("{s:+.2}")).collect::<Vec<_>>().join(" ")));
+    }
+    Ok(())
+}
+
+fn row(subject: &Subject, row: &Row, printer: &Printer) {
+    let three = |v: Option<[f64; 3]>| v.map_or("-".into(), |v| v.map(|s| format!("{s:.3}")).join(" "));
+    let truth = subject.truth.as_ref();
+    let curve = truth.zip(row.curves).map(|(t, c)| std::array::from_fn(|k| curve_stops(&c[k], &t.curves[k])));
+    let radiance = truth.map(|t| {
+        let counts = t.well_exposed(&subject.exposures);
+        let (errors, sigmas) = relative(row.radiance, row.variance, &t.radiance, &counts);
+        let [median, high] = quantiles(errors);
+        let inside = sigmas.iter().filter(|s| **s <= 1.0).count() as f64 / sigmas.len() as f64;
+        (format!("{:.2} {:.2}", 100.0 * median, 100.0 * high), row.variance.map(|_| format!("{:.0} %", 100.0 * inside)))
+    });
+    let (radiance, inside) = radiance.unwrap_or(("-".into(), None));
+    let published = subject.published.as_ref().map(|p| {
+        let counts = p.map(|_| true);
+        log_ratio_stops(row.radiance, p, &counts)
+    });
+    printer.data(&format!(
+        "{:<20}{:>24}{radiance:>16}{:>8}{:>24}{:>24}{:>8.2}",
+        row.name,
+        three(curve),
+        inside.unwrap_or("-".into()),
+        three(published),
+        three(row.residual),
+        row.seconds
+    ));
+}
