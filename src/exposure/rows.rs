@@ -2,7 +2,7 @@
 
 use crate::image::{Code, CodeImage, Image};
 use std::fs::File;
-use std::io::{Seek, Write};
+use std::io::{Result, Write};
 use std::ops::Range;
 use std::os::unix::fs::FileExt;
 
@@ -12,7 +12,7 @@ pub trait Rows: Sync {
     fn size(&self) -> (usize, usize);
 
     /// The rows of a range, which lies within the picture.
-    fn rows(&self, range: Range<usize>) -> CodeImage;
+    fn rows(&self, range: Range<usize>) -> Result<CodeImage>;
 }
 
 impl Rows for CodeImage {
@@ -20,10 +20,10 @@ impl Rows for CodeImage {
         CodeImage::size(self)
     }
 
-    fn rows(&self, range: Range<usize>) -> CodeImage {
+    fn rows(&self, range: Range<usize>) -> Result<CodeImage> {
         let width = self.width();
         let pixels = self.pixels()[range.start * width..range.end * width].to_vec();
-        Image::from_pixels(width, range.len(), pixels)
+        Ok(Image::from_pixels(width, range.len(), pixels))
     }
 }
 
@@ -58,12 +58,12 @@ impl Rows for Stored {
         (self.width, self.height)
     }
 
-    fn rows(&self, range: Range<usize>) -> CodeImage {
+    fn rows(&self, range: Range<usize>) -> Result<CodeImage> {
         let part = range.start * self.width * 3..range.end * self.width * 3;
-        match &self.samples {
+        Ok(match &self.samples {
             Samples::Eight(s) => pixels(self.width, s[part].iter().map(|v| f32::from(*v) / 255.0)),
             Samples::Sixteen(s) => pixels(self.width, s[part].iter().map(|v| f32::from(*v) / 65535.0)),
-        }
+        })
     }
 }
 
@@ -78,7 +78,7 @@ pub struct Spooled {
 
 impl Spooled {
     /// Puts a photograph aside.
-    pub fn new(stored: &Stored) -> std::io::Result<Self> {
+    pub fn new(stored: &Stored) -> Result<Self> {
         let mut file = tempfile::tempfile()?;
         let bytes = match &stored.samples {
             Samples::Eight(s) => {
@@ -90,7 +90,6 @@ impl Spooled {
                 2
             }
         };
-        file.rewind()?;
         Ok(Self { file, width: stored.width, height: stored.height, bytes })
     }
 }
@@ -100,17 +99,16 @@ impl Rows for Spooled {
         (self.width, self.height)
     }
 
-    fn rows(&self, range: Range<usize>) -> CodeImage {
+    fn rows(&self, range: Range<usize>) -> Result<CodeImage> {
         let row = self.width * 3 * self.bytes;
         let mut bytes = vec![0; range.len() * row];
-        // The file was written whole and nobody else has it. Were it lost all the same, black tells no exposure.
-        let _ = self.file.read_exact_at(&mut bytes, (range.start * row) as u64);
-        if self.bytes == 1 {
+        self.file.read_exact_at(&mut bytes, (range.start * row) as u64)?;
+        Ok(if self.bytes == 1 {
             pixels(self.width, bytes.iter().map(|v| f32::from(*v) / 255.0))
         } else {
             let words = bytes.chunks_exact(2).map(|b| u16::from_ne_bytes([b[0], b[1]]));
             pixels(self.width, words.map(|v| f32::from(v) / 65535.0))
-        }
+        })
     }
 }
 
@@ -122,15 +120,16 @@ mod tests {
     fn rows_are_the_same_however_they_are_held() {
         let values: Vec<u16> = (0..4 * 5 * 3).map(|i| i * 1000).collect();
         let stored = Stored { width: 4, height: 5, samples: Samples::Sixteen(values.clone()) };
-        let whole = stored.rows(0..5);
+        let whole = stored.rows(0..5).unwrap();
         assert_eq!(whole.at(1, 2).0, [27, 28, 29].map(|i| f32::from(values[i]) / 65535.0));
         let spooled = Spooled::new(&stored).unwrap();
         for part in [0..5, 1..3, 4..5, 2..2] {
-            assert_eq!(Rows::rows(&whole, part.clone()), stored.rows(part.clone()));
-            assert_eq!(spooled.rows(part.clone()), stored.rows(part));
+            let expected = stored.rows(part.clone()).unwrap();
+            assert_eq!(Rows::rows(&whole, part.clone()).unwrap(), expected);
+            assert_eq!(spooled.rows(part).unwrap(), expected);
         }
         let eight = Stored { width: 4, height: 5, samples: Samples::Eight((0..60).collect()) };
-        assert_eq!(Spooled::new(&eight).unwrap().rows(3..5), eight.rows(3..5));
-        assert_eq!(eight.rows(0..1).at(1, 0).0, [3.0 / 255.0, 4.0 / 255.0, 5.0 / 255.0]);
+        assert_eq!(Spooled::new(&eight).unwrap().rows(3..5).unwrap(), eight.rows(3..5).unwrap());
+        assert_eq!(eight.rows(0..1).unwrap().at(1, 0).0, [3.0 / 255.0, 4.0 / 255.0, 5.0 / 255.0]);
     }
 }

@@ -59,7 +59,8 @@ impl Observations {
     /// The same with each place as often as said.
     pub fn repeated(&self, times: &[usize]) -> Self {
         let list = self.list.iter().filter(|o| times[o.place] > 0);
-        let weighted = |o: &Observation| Observation { weight: o.weight * times[o.place] as f64, ..o.clone() };
+        let weighted =
+            |o: &Observation| Observation { weight: o.weight * times[o.place] as f64, ..o.clone() };
         Self { list: list.map(weighted).collect(), ..*self }
     }
 
@@ -106,7 +107,8 @@ impl Observations {
     /// Median residual of each frame, stops; 0 for a frame that has hardly any observation.
     pub fn frame_stops(&self, g: &[f64]) -> Vec<f64> {
         let residuals = self.residuals(g);
-        let of = |frame| self.list.iter().zip(&residuals).filter(move |(o, _)| o.frame == frame).map(|(_, r)| *r);
+        let of =
+            |frame| self.list.iter().zip(&residuals).filter(move |(o, _)| o.frame == frame).map(|(_, r)| *r);
         let stops = |f| if of(f).count() < 10 { 0.0 } else { median(of(f)).unwrap_or(0.0) / LN_2 };
         (0..self.frames).map(stops).collect()
     }

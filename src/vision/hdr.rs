@@ -36,7 +36,8 @@ impl Exposures {
     pub fn new(frames: &[(Image<[u8; 3]>, f64)]) -> Result<Self, Problem> {
         let mut images = Vector::<Mat>::new();
         for (image, _) in frames {
-            let pixels: Vec<Vec3b> = image.pixels().iter().map(|[r, g, b]| Vec3b::from([*b, *g, *r])).collect();
+            let pixels: Vec<Vec3b> =
+                image.pixels().iter().map(|[r, g, b]| Vec3b::from([*b, *g, *r])).collect();
             let view = Mat::new_rows_cols_with_data(image.height() as i32, image.width() as i32, &pixels)?;
             images.push(view.try_clone()?);
         }
@@ -45,7 +46,9 @@ impl Exposures {
 
     /// From files, decoded by OpenCV.
     pub fn read(files: &[(&Path, f64)]) -> Result<Self, Problem> {
-        let read = |(path, _): &(&Path, f64)| imgcodecs::imread(path.to_string_lossy().as_ref(), imgcodecs::IMREAD_COLOR);
+        let read = |(path, _): &(&Path, f64)| {
+            imgcodecs::imread(path.to_string_lossy().as_ref(), imgcodecs::IMREAD_COLOR)
+        };
         let images = files.iter().map(read).collect::<Result<Vector<Mat>, _>>()?;
         Ok(Self { images, times: files.iter().map(|(_, t)| *t as f32).collect() })
     }
@@ -57,12 +60,24 @@ impl Exposures {
             Method::Debevec => {
                 photo::create_calibrate_debevec_def()?.process(&self.images, &mut response, &self.times)?;
                 let mut merge = photo::create_merge_debevec()?;
-                MergeExposuresTrait::process(&mut merge, &self.images, &mut radiance, &self.times, &response)?;
+                MergeExposuresTrait::process(
+                    &mut merge,
+                    &self.images,
+                    &mut radiance,
+                    &self.times,
+                    &response,
+                )?;
             }
             Method::Robertson => {
                 photo::create_calibrate_robertson_def()?.process(&self.images, &mut response, &self.times)?;
                 let mut merge = photo::create_merge_robertson()?;
-                MergeExposuresTrait::process(&mut merge, &self.images, &mut radiance, &self.times, &response)?;
+                MergeExposuresTrait::process(
+                    &mut merge,
+                    &self.images,
+                    &mut radiance,
+                    &self.times,
+                    &response,
+                )?;
             }
         }
         Ok((response, radiance))

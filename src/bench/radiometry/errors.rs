@@ -15,7 +15,9 @@ pub(super) fn curve_stops(curve: &[f64], truth: &[f64]) -> f64 {
 /// Median and 95th percentile.
 pub(super) fn quantiles(mut values: Vec<f64>) -> [f64; 2] {
     values.sort_by(f64::total_cmp);
-    let at = |share: f64| values.get(((values.len() as f64 - 1.0) * share).round() as usize).copied().unwrap_or(f64::NAN);
+    let at = |share: f64| {
+        values.get(((values.len() as f64 - 1.0) * share).round() as usize).copied().unwrap_or(f64::NAN)
+    };
     [at(0.5), at(0.95)]
 }
 
@@ -51,7 +53,11 @@ pub(super) fn relative(
 }
 
 /// Median |log2 ratio| per channel where both are above 0, after one factor a channel.
-pub(super) fn log_ratio_stops(radiance: &RadianceImage, published: &RadianceImage, counts: &Image<bool>) -> [f64; 3] {
+pub(super) fn log_ratio_stops(
+    radiance: &RadianceImage,
+    published: &RadianceImage,
+    counts: &Image<bool>,
+) -> [f64; 3] {
     std::array::from_fn(|k| {
         let logs = || {
             (0..published.pixels().len()).filter(|i| counts.pixels()[*i]).filter_map(|i| {

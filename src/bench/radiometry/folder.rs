@@ -23,7 +23,12 @@ pub(super) fn subjects(folder: &Path) -> Result<Vec<Subject>> {
         .filter_map(Result::transpose)
         .collect::<Result<_>>()?;
     if subjects.is_empty() {
-        return Err(Error::file(DOING, folder, "holds no two exposures of one view", "name a folder of bracketed photographs"));
+        return Err(Error::file(
+            DOING,
+            folder,
+            "holds no two exposures of one view",
+            "name a folder of bracketed photographs",
+        ));
     }
     Ok(subjects)
 }
@@ -41,7 +46,11 @@ fn subject(folder: &Path, files: &[PathBuf]) -> Result<Option<Subject>> {
             continue;
         }
         let of_exif = || {
-            let exposure = Exposure { time_s: header.time_s?, f_number: header.f_number.unwrap_or(1.0), iso: header.iso.unwrap_or(100.0) };
+            let exposure = Exposure {
+                time_s: header.time_s?,
+                f_number: header.f_number.unwrap_or(1.0),
+                iso: header.iso.unwrap_or(100.0),
+            };
             Some(exposure.scale())
         };
         if let Some(exposure) = listed.get(&stem).copied().or_else(of_exif).or_else(|| time_of(&stem)) {
@@ -67,7 +76,8 @@ fn subject(folder: &Path, files: &[PathBuf]) -> Result<Option<Subject>> {
             _ => {}
         }
     }
-    let parts: Vec<_> = folder.components().rev().take(2).map(|c| c.as_os_str().to_string_lossy().into_owned()).collect();
+    let parts: Vec<_> =
+        folder.components().rev().take(2).map(|c| c.as_os_str().to_string_lossy().into_owned()).collect();
     let short = parts.first().map_or(String::new(), Clone::clone);
     Ok(Some(Subject {
         name: short,

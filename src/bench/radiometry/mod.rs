@@ -14,7 +14,7 @@ use crate::error::{Context as _, Result};
 use crate::image::{Image, RadianceImage};
 use crate::merge;
 use crate::printer::Printer;
-use crate::response;
+use crate::response::{self, Response};
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -60,7 +60,7 @@ fn one(subject: &Subject, printer: &Printer) -> Result<()> {
             curves: Some(&curves),
             radiance: &merged.radiance,
             variance: Some(&merged.variance),
-            residual: quality.map(|q| q.rms_stops),
+            residual: quality.map(|q| q.held_out_stops),
             seconds,
         },
         printer,
@@ -69,16 +69,44 @@ fn one(subject: &Subject, printer: &Printer) -> Result<()> {
         match peer.make(subject)? {
             Ok(Made { curves, radiance, seconds }) => row(
                 subject,
-                &Row { name: peer.name(), curves: curves.as_ref(), radiance: &radiance, variance: None, residual: None, seconds },
+                &Row {
+                    name: peer.name(),
+                    curves: curves.as_ref(),
+                    radiance: &radiance,
+                    variance: None,
+                    residual: None,
+                    seconds,
+                },
                 printer,
             ),
             Err(why) => printer.data(&format!("{:<20}  {why}", peer.name())),
         }
     }
-    if let Some(q) = quality {
-        printer.data(&format!("frames off, stops: {}", q.frame_stops.iter().map(|s| format!("{s:+.2}")).collect::<Vec<_>>().join(" ")));
-    }
+    told(subject, &response, printer);
     Ok(())
+}
+
+/// The method, and exposures that the pixels contradict.
+fn told(subject: &Subject, response: &Response, printer: &Printer) {
+    let method = response.method.map_or("none".into(), |m| format!("{m:?}"));
+    let found = response.exposures.iter().map(|e| {
+        let sigma = e.sigma_stops.map_or("?".into(), |s| format!("{s:.2}"));
+        format!("{:+.2}±{sigma}{}", e.departure_stops(), if e.is_corrected() { "!" } else { "" })
+    });
+    printer.data(&format!(
+        "method {method}; exposures found against stated, stops: {}",
+        found.collect::<Vec<_>>().join(" ")
+    ));
+    let corrected = subject.files.iter().zip(&response.exposures).filter(|(_, e)| e.is_corrected());
+    for (file, e) in corrected {
+        let name = file.file_name().unwrap_or_default().to_string_lossy();
+        printer.data(&format!(
+            "  {name}: stated {:.4e}, the pixels say {:.4e} ({:+.2} stops): used",
+            e.stated,
+            e.found,
+            e.departure_stops()
+        ));
+    }
 }
 
 fn row(subject: &Subject, row: &Row, printer: &Printer) {
@@ -90,7 +118,10 @@ fn row(subject: &Subject, row: &Row, printer: &Printer) {
         let (errors, sigmas) = relative(row.radiance, row.variance, &t.radiance, &counts);
         let [median, high] = quantiles(errors);
         let inside = sigmas.iter().filter(|s| **s <= 1.0).count() as f64 / sigmas.len() as f64;
-        (format!("{:.2} {:.2}", 100.0 * median, 100.0 * high), row.variance.map(|_| format!("{:.0} %", 100.0 * inside)))
+        (
+            format!("{:.2} {:.2}", 100.0 * median, 100.0 * high),
+            row.variance.map(|_| format!("{:.0} %", 100.0 * inside)),
+        )
     });
     let (radiance, inside) = radiance.unwrap_or(("-".into(), None));
     let published = subject.published.as_ref().map(|p| {

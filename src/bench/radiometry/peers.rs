@@ -1,8 +1,9 @@
 //! OpenCV and pfstools on the same exposures.
 
 use super::subject::Subject;
-use crate::error::{Context as _, Error, FileContext, Result};
+use crate::error::{Error, FileContext, Result};
 use crate::image::{Image, Radiance, RadianceImage};
+use crate::vision;
 use crate::vision::hdr::{Exposures, Method};
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -24,8 +25,12 @@ pub(super) enum Peer {
     Pfstools(&'static str),
 }
 
-pub(super) const PEERS: [Peer; 4] =
-    [Peer::OpenCv(Method::Debevec), Peer::OpenCv(Method::Robertson), Peer::Pfstools("robertson"), Peer::Pfstools("mitsunaga")];
+pub(super) const PEERS: [Peer; 4] = [
+    Peer::OpenCv(Method::Debevec),
+    Peer::OpenCv(Method::Robertson),
+    Peer::Pfstools("robertson"),
+    Peer::Pfstools("mitsunaga"),
+];
 
 impl Peer {
     pub fn name(self) -> String {
@@ -38,17 +43,17 @@ impl Peer {
     /// Runs it; a message where it is not installed or fails.
     pub fn make(self, subject: &Subject) -> Result<Result<Made, String>> {
         match self {
-            Self::OpenCv(method) => open_cv(subject, method).map(Ok),
+            Self::OpenCv(method) => Ok(open_cv(subject, method).map_err(|e| format!("failed: {e}"))),
             Self::Pfstools(method) => pfstools(subject, method),
         }
     }
 }
 
-fn open_cv(subject: &Subject, method: Method) -> Result<Made> {
-    let pictures: Vec<_> = subject.images.iter().zip(&subject.exposures).map(|(image, e)| (bytes(image), *e)).collect();
+fn open_cv(subject: &Subject, method: Method) -> Result<Made, vision::Problem> {
+    let pictures: Vec<_> =
+        subject.images.iter().zip(&subject.exposures).map(|(image, e)| (bytes(image), *e)).collect();
     let started = Instant::now();
-    let doing = "merging by OpenCV";
-    let merged = Exposures::new(&pictures).doing(doing)?.merge(method).doing(doing)?;
+    let merged = Exposures::new(&pictures)?.merge(method)?;
     let seconds = started.elapsed().as_secs_f64();
     Ok(Made { curves: Some(merged.curves), radiance: merged.radiance, seconds })
 }
@@ -61,7 +66,10 @@ fn bytes(image: &crate::image::CodeImage) -> Image<[u8; 3]> {
 /// curve as it saves it.
 fn pfstools(subject: &Subject, method: &'static str) -> Result<Result<Made, String>> {
     const DOING: &str = "handing exposures to pfstools";
-    if ["pfsinhdrgen", "pfshdrcalibrate", "pfsout"].iter().any(|p| Command::new(p).arg("--help").stdout(Stdio::null()).stderr(Stdio::null()).status().is_err()) {
+    if ["pfsinhdrgen", "pfshdrcalibrate", "pfsout"]
+        .iter()
+        .any(|p| Command::new(p).arg("--help").stdout(Stdio::null()).stderr(Stdio::null()).status().is_err())
+    {
         return Ok(Err("not installed (`apt-get install pfstools`)".into()));
     }
     let folder = tempfile::tempdir().at(DOING, Path::new("a temporary folder"))?;
@@ -76,7 +84,12 @@ fn pfstools(subject: &Subject, method: &'static str) -> Result<Result<Made, Stri
     std::fs::write(&write, script).at(DOING, &write)?;
     let started = Instant::now();
     let line = format!("pfsinhdrgen frames.hdrgen | pfshdrcalibrate -c {method} -s curve.m | pfsout out.exr");
-    let output = Command::new("sh").arg("-c").arg(line).current_dir(folder.path()).output().at(DOING, folder.path())?;
+    let output = Command::new("sh")
+        .arg("-c")
+        .arg(line)
+        .current_dir(folder.path())
+        .output()
+        .at(DOING, folder.path())?;
     let seconds = started.elapsed().as_secs_f64();
     let (curve, out) = (folder.path().join("curve.m"), folder.path().join("out.exr"));
     if !out.exists() {
@@ -94,12 +107,23 @@ fn pfstools(subject: &Subject, method: &'static str) -> Result<Result<Made, Stri
 /// Its pictures may hold infinities, which our own reader refuses.
 fn read_any(path: &Path) -> Result<RadianceImage> {
     use exr::prelude::{ReadChannels, ReadLayers};
-    let bad = |e: exr::error::Error| Error::file("reading what pfstools wrote", path, e.to_string(), "check pfstools");
-    let image = exr::prelude::read().no_deep_data().largest_resolution_level().all_channels().first_valid_layer().all_attributes().from_file(path).map_err(bad)?;
+    let bad = |e: exr::error::Error| {
+        Error::file("reading what pfstools wrote", path, e.to_string(), "check pfstools")
+    };
+    let image = exr::prelude::read()
+        .no_deep_data()
+        .largest_resolution_level()
+        .all_channels()
+        .first_valid_layer()
+        .all_attributes()
+        .from_file(path)
+        .map_err(bad)?;
     let size = image.layer_data.size;
     let plane = |name: &str| -> Vec<f32> {
         let list = &image.layer_data.channel_data.list;
-        list.iter().find(|c| c.name == *name).map_or(vec![0.0; size.0 * size.1], |c| c.sample_data.values_as_f32().collect())
+        list.iter()
+            .find(|c| c.name == *name)
+            .map_or(vec![0.0; size.0 * size.1], |c| c.sample_data.values_as_f32().collect())
     };
     let (r, g, b) = (plane("R"), plane("G"), plane("B"));
     Ok(Image::from_pixels(size.0, size.1, (0..r.len()).map(|i| Radiance([r[i], g[i], b[i]])).collect()))
@@ -120,4 +144,3 @@ fn saved_curve(text: &str) -> Option<[Vec<f64>; 3]> {
     curves.retain(|c| c.len() == 256);
     curves.try_into().ok()
 }
-

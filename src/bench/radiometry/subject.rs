@@ -43,7 +43,9 @@ impl Subject {
             return folder::subjects(path);
         }
         // Settings that extend others place the object elsewhere: their brackets are the same.
-        let own = settings.iter().filter(|s| s.file_name().is_some_and(|n| n == "pipeline.toml") || settings.len() == 1);
+        let own = settings
+            .iter()
+            .filter(|s| s.file_name().is_some_and(|n| n == "pipeline.toml") || settings.len() == 1);
         own.map(|s| Self::of_capture(s, printer)).filter_map(Result::transpose).collect()
     }
 
@@ -79,10 +81,18 @@ impl Subject {
 impl Truth {
     fn read(path: &Path) -> Result<Self> {
         const DOING: &str = "reading the truth of a capture";
-        let shape = || Error::file(DOING, path, "lacks response, exposure_constant_K or empty_exr", "give the truth.json of a rendered capture");
+        let shape = || {
+            Error::file(
+                DOING,
+                path,
+                "lacks response, exposure_constant_K or empty_exr",
+                "give the truth.json of a rendered capture",
+            )
+        };
         let text = std::fs::read_to_string(path).at(DOING, path)?;
         let value: Value = serde_json::from_str(&text).map_err(|_| shape())?;
-        let numbers = |v: &Value| v.as_array().map(|a| a.iter().filter_map(Value::as_f64).collect::<Vec<_>>());
+        let numbers =
+            |v: &Value| v.as_array().map(|a| a.iter().filter_map(Value::as_f64).collect::<Vec<_>>());
         let x = numbers(&value["response"]["x"]).ok_or_else(shape)?;
         let curve = |k: usize| {
             let y = numbers(&value["response"]["y_rgb"][k]).filter(|y| y.len() == x.len() && y.len() > 1);
