@@ -279,7 +279,7 @@ mod tests {
 
     #[test]
     fn the_compression_that_blender_writes_is_read() {
-        use exr::WritableImage;
+        use super::exr::WritableImage;
         let dir = tempfile::tempdir().unwrap();
         for (name, compression) in [("a", exr::Compression::DWAA(None)), ("b", exr::Compression::DWAB(None))]
         {

@@ -58,6 +58,8 @@ pub enum Table {
     Occlusion,
     /// Response and merged radiance against the truth, beside OpenCV and pfstools; takes folders of exposures, too.
     Radiometry,
+    /// How the response varies with samples, size, exposures and seed, against its own band; takes folders, too.
+    Stability,
 }
 
 /// What a plain `insitu bench` prints.
@@ -81,7 +83,8 @@ pub fn bench(
     }
     let threads = std::thread::available_parallelism().map_or(1, |n| n.get());
     // Folders of exposures have no settings.
-    let others = tables.is_empty() || tables.iter().any(|t| *t != Table::Radiometry);
+    let others =
+        tables.is_empty() || tables.iter().any(|t| !matches!(t, Table::Radiometry | Table::Stability));
     let settings = if others { validate::settings_under(paths)? } else { Vec::new() };
     if let Some(folder) = pictures {
         std::fs::create_dir_all(folder).at("making a folder for pictures", folder)?;
@@ -98,6 +101,7 @@ pub fn bench(
             Table::Truth => truth::print(&settings, pictures, printer)?,
             Table::Subtractive => subtractive::print(&settings, environments, pictures, printer)?,
             Table::Radiometry => radiometry::print(paths, printer)?,
+            Table::Stability => radiometry::print_stability(paths, printer)?,
             Table::Occlusion => occlusion::print(&settings, frames, pictures, printer)?,
             Table::Stages | Table::Frames => {
                 for (file, workspace) in settings.iter().zip(ready(&settings, printer)?) {
@@ -111,6 +115,11 @@ pub fn bench(
         }
     }
     Ok(())
+}
+
+/// Merges a folder of large frames by one program and prints seconds and peak memory: a process of the table `radiometry`.
+pub fn merge_cost(program: &str, folder: &Path, printer: &Printer) -> Result<()> {
+    radiometry::merge_cost(program, folder, printer)
 }
 
 /// Runs what is stale of each settings file.

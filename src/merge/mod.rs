@@ -127,20 +127,5 @@ impl Merged {
     }
 }
 
-fn check(frames: &[Frame], plate_exposure: f64) -> Result<(), Problem> {
-    let first = frames.first().ok_or(Problem::NoFrame)?.codes.size();
-    for (i, frame) in frames.iter().enumerate() {
-        if frame.codes.size() != first {
-            return Err(Problem::Sizes { frame: i + 1, size: frame.codes.size(), first });
-        }
-    }
-    for exposure in frames.iter().map(|f| f.exposure).chain([plate_exposure]) {
-        if !(exposure.is_finite() && exposure > 0.0) {
-            return Err(Problem::Exposure { exposure });
-        }
-    }
-    Ok(())
-}
-
 #[cfg(test)]
 mod tests;

@@ -1,4 +1,5 @@
 use super::*;
+use crate::image::Code;
 use proptest::prelude::*;
 use rand::{Rng, SeedableRng, rngs::SmallRng};
 

@@ -82,6 +82,26 @@ pub fn fit_sampled(frames: &[Sampled], settings: &config::Response) -> Result<Re
     Ok(Response { curves, assumed: false, method: Some(method), quality: Some(quality), exposures })
 }
 
+/// Rms residual of given curves (relative exposure at each level, per channel) at the places that [`fit`] would choose,
+/// stops.
+pub fn residual_stops(
+    frames: &[Frame],
+    curves: &[Vec<f64>; 3],
+    settings: &config::Response,
+) -> Result<[f64; 3], Problem> {
+    let sampled = frames.par_iter().map(Sampled::new).collect::<Result<Vec<_>, _>>();
+    let mut sampled = sampled.map_err(|e| Problem::Read { why: e.to_string() })?;
+    sampled.sort_by(|a, b| a.exposure.total_cmp(&b.exposure));
+    let sorted: Vec<&Sampled> = sampled.iter().collect();
+    let channels = [0, 1, 2].map(|c| Channel::new(&sorted, c));
+    let exposures: Vec<f64> = sorted.iter().map(|f| f.exposure).collect();
+    let seen = observe(&channels, &exposures, settings)?;
+    Ok([0, 1, 2].map(|c: usize| {
+        let g: Vec<f64> = curves[c].iter().map(|e| e.max(1e-12).ln()).collect();
+        seen[c].rms_stops(&g)
+    }))
+}
+
 /// Chooses places in each channel and takes down what they show.
 fn observe(
     channels: &[Channel; 3],

@@ -16,7 +16,7 @@ mod robertson;
 mod samples;
 
 pub use exposures::{FoundExposure, by_curve};
-pub use fit::{fit, fit_sampled};
+pub use fit::{fit, fit_sampled, residual_stops};
 pub use problem::Problem;
 pub use samples::Sampled;
 

@@ -95,11 +95,6 @@ impl Channel {
         Self { places, tiles, floor, lowest: floor + (4.0 * noise).max(5.0), clip }
     }
 
-    /// Tile of the image in which a place lies.
-    pub fn tile(&self, place: usize) -> usize {
-        self.tiles[place]
-    }
-
     /// Whether a reading tells an exposure: no pixel clipped, none lost in the black.
     pub fn is_good(&self, reading: &Reading) -> bool {
         reading.high < self.clip - 0.5 && reading.mean > self.lowest

@@ -1,9 +1,11 @@
 //! Exposures to radiance: curve and radiance against the truth of rendered captures or a published map, residuals on
 //! exposures that did not enter, beside OpenCV and pfstools on the same input.
 
+mod cost;
 mod errors;
 mod folder;
 mod peers;
+mod stability;
 mod subject;
 
 use self::errors::{curve_stops, log_ratio_stops, quantiles, relative};
@@ -11,6 +13,7 @@ use self::peers::{Made, PEERS};
 use self::subject::Subject;
 use crate::config;
 use crate::error::{Context as _, Result};
+use crate::exposure::Frame;
 use crate::image::{Image, RadianceImage};
 use crate::merge;
 use crate::printer::Printer;
@@ -18,14 +21,35 @@ use crate::response::{self, Response};
 use std::path::PathBuf;
 use std::time::Instant;
 
-/// Prints the tables of every capture and folder of exposures named.
+pub(super) use cost::merge_cost;
+
+/// Prints the table of every capture and folder of exposures named, then time and memory on large frames.
 pub(super) fn print(paths: &[PathBuf], printer: &Printer) -> Result<()> {
-    for path in paths {
-        for subject in Subject::under(path, printer)? {
-            one(&subject, printer)?;
+    let mut largest: Option<Subject> = None;
+    for subject in subjects(paths, printer)? {
+        one(&subject, printer)?;
+        // The more exposures, the fewer are repeated.
+        if largest.as_ref().is_none_or(|l| l.images.len() < subject.images.len()) {
+            largest = Some(subject);
         }
     }
+    largest.map_or(Ok(()), |subject| cost::print(&subject, printer))
+}
+
+/// Prints how the curve of each varies with what it is fitted to.
+pub(super) fn print_stability(paths: &[PathBuf], printer: &Printer) -> Result<()> {
+    subjects(paths, printer)?.iter().for_each(|subject| stability::print(subject, printer));
     Ok(())
+}
+
+fn subjects(paths: &[PathBuf], printer: &Printer) -> Result<Vec<Subject>> {
+    Ok(paths
+        .iter()
+        .map(|p| Subject::under(p, printer))
+        .collect::<Result<Vec<_>>>()?
+        .into_iter()
+        .flatten()
+        .collect())
 }
 
 /// What a program made, with the figures that it is judged by.
@@ -47,12 +71,16 @@ fn one(subject: &Subject, printer: &Printer) -> Result<()> {
         "", "curve, stops (R G B)", "radiance, %", "in 1σ", "published, stops", "residual, stops", "s"
     ));
     let started = Instant::now();
-    let frames = subject.frames();
-    let response = response::fit(&frames, &config::Response::default()).doing("fitting the response")?;
+    let settings = config::Response::default();
+    let response = response::fit(&subject.frames(), &settings).doing("fitting the response")?;
+    let frames: Vec<Frame> = (subject.images.iter().zip(&response.exposures))
+        .map(|(codes, e)| Frame { codes, exposure: e.used })
+        .collect();
     let merged = merge::merge(&frames, &response, 1.0, &config::Merge::default()).doing("merging")?;
     let seconds = started.elapsed().as_secs_f64();
     let curves = response.curves.each_ref().map(|c| c.exposure.clone());
     let quality = response.quality.as_ref();
+    let valid = merged.clipped.map(|c| !c);
     row(
         subject,
         &Row {
@@ -63,6 +91,7 @@ fn one(subject: &Subject, printer: &Printer) -> Result<()> {
             residual: quality.map(|q| q.held_out_stops),
             seconds,
         },
+        &valid,
         printer,
     );
     for peer in PEERS {
@@ -74,9 +103,12 @@ fn one(subject: &Subject, printer: &Printer) -> Result<()> {
                     curves: curves.as_ref(),
                     radiance: &radiance,
                     variance: None,
-                    residual: None,
+                    residual: curves
+                        .as_ref()
+                        .and_then(|c| response::residual_stops(&subject.frames(), c, &settings).ok()),
                     seconds,
                 },
+                &valid,
                 printer,
             ),
             Err(why) => printer.data(&format!("{:<20}  {why}", peer.name())),
@@ -97,19 +129,13 @@ fn told(subject: &Subject, response: &Response, printer: &Printer) {
         "method {method}; exposures found against stated, stops: {}",
         found.collect::<Vec<_>>().join(" ")
     ));
-    let corrected = subject.files.iter().zip(&response.exposures).filter(|(_, e)| e.is_corrected());
-    for (file, e) in corrected {
-        let name = file.file_name().unwrap_or_default().to_string_lossy();
-        printer.data(&format!(
-            "  {name}: stated {:.4e}, the pixels say {:.4e} ({:+.2} stops): used",
-            e.stated,
-            e.found,
-            e.departure_stops()
-        ));
+    for (file, e) in subject.files.iter().zip(&response.exposures).filter(|(_, e)| e.is_doubtful()) {
+        printer.data(&format!("  {}", e.told(&file.file_name().unwrap_or_default().to_string_lossy())));
     }
 }
 
-fn row(subject: &Subject, row: &Row, printer: &Printer) {
+/// `valid`: where insitu does not say that the picture is clipped in every exposure.
+fn row(subject: &Subject, row: &Row, valid: &Image<bool>, printer: &Printer) {
     let three = |v: Option<[f64; 3]>| v.map_or("-".into(), |v| v.map(|s| format!("{s:.3}")).join(" "));
     let truth = subject.truth.as_ref();
     let curve = truth.zip(row.curves).map(|(t, c)| std::array::from_fn(|k| curve_stops(&c[k], &t.curves[k])));
@@ -124,10 +150,7 @@ fn row(subject: &Subject, row: &Row, printer: &Printer) {
         )
     });
     let (radiance, inside) = radiance.unwrap_or(("-".into(), None));
-    let published = subject.published.as_ref().map(|p| {
-        let counts = p.map(|_| true);
-        log_ratio_stops(row.radiance, p, &counts)
-    });
+    let published = subject.published.as_ref().map(|p| log_ratio_stops(row.radiance, p, valid));
     printer.data(&format!(
         "{:<20}{:>24}{radiance:>16}{:>8}{:>24}{:>24}{:>8.2}",
         row.name,
