@@ -3,7 +3,7 @@
 use insitu::artefact::{exr, json};
 use insitu::config::Role;
 use insitu::error::{Context as _, FileContext, Result};
-use insitu::exposure::{self, Capture, Frame, Photo, Photograph, Rows, Spooled};
+use insitu::exposure::{self, Capture, Frame, Photo, Photograph, put_aside};
 use insitu::image::RadianceImage;
 use insitu::merge::align::{Motion, Moved, motions};
 use insitu::merge::{self, Merged, Summary};
@@ -12,6 +12,8 @@ use insitu::stage::Context;
 
 /// Frames further than this from the merged picture, stops, have something wrong with them.
 const SUSPICIOUS_STOPS: f64 = 0.15;
+/// Memory in which frames are kept, bytes; the others are put aside on the disk.
+const ROOM: usize = 1 << 26;
 /// A ghost of at least this share of the picture is told of.
 const NOTABLE_SHARE: f64 = 0.001;
 
@@ -81,13 +83,13 @@ fn from_frames(
 ) -> Result<Summary> {
     let unit = capture.plate_exposure()?;
     let bar = ctx.printer.progress("reading exposures", photos.len() as u64);
-    let (mut spooled, mut sampled) = (Vec::new(), Vec::new());
+    let (mut kept, mut sampled, mut room) = (Vec::new(), Vec::new(), ROOM);
     for photo in &photos {
         let stored = exposure::load_stored(ctx, capture, photo)?;
         let exposure = photo.exposure.map_or(unit, |e| e.scale());
         let doing = "putting a photograph aside";
         sampled.push(Sampled::new(&Frame { codes: &stored, exposure }).at(doing, photo.file.as_ref())?);
-        spooled.push(Spooled::new(&stored).at(doing, photo.file.as_ref())?);
+        kept.push(put_aside(stored, &mut room).at(doing, photo.file.as_ref())?);
         bar.inc(1);
     }
     bar.finish_and_clear();
@@ -96,8 +98,8 @@ fn from_frames(
     let plate = capture.plate()?;
     let of_plate = photos.iter().zip(&exposures).find(|(p, _)| p.file == plate.file).map(|(_, e)| *e);
     let unit = of_plate.unwrap_or(unit);
-    let frame = |(codes, exposure)| Frame { codes: codes as &dyn Rows, exposure };
-    let still: Vec<Frame> = spooled.iter().zip(exposures.iter().copied()).map(frame).collect();
+    let still: Vec<Frame> =
+        kept.iter().zip(&exposures).map(|(codes, e)| Frame { codes: codes.as_ref(), exposure: *e }).collect();
     let motions = motion(ctx, &photos, &still, response)?;
     let moved: Vec<(usize, Moved)> = (still.iter().zip(&motions).enumerate())
         .filter(|(_, (_, motion))| !matches!(motion, Motion::Lost(_)))
@@ -202,6 +204,7 @@ fn tell(ctx: &Context, photos: &[&Photo], summary: &Summary) {
         }
     }
     let of = |value: fn(&merge::FrameFigures) -> f64| summary.frames.iter().map(value).collect::<Vec<_>>();
+    ctx.figure("frames", photos.iter().map(|p| &p.file).collect::<Vec<_>>());
     ctx.figure("frame_residual_stops", of(|f| f.residual_stops));
     ctx.figure("frame_clipped_share", of(|f| f.clipped_share));
     ctx.figure("frame_ghost_share", of(|f| f.left_out_share));

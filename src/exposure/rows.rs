@@ -94,6 +94,19 @@ impl Spooled {
     }
 }
 
+/// Keeps a photograph in memory while there is room, bytes, and puts it aside otherwise.
+pub fn put_aside(stored: Stored, room: &mut usize) -> Result<Box<dyn Rows>> {
+    let bytes = match &stored.samples {
+        Samples::Eight(s) => s.len(),
+        Samples::Sixteen(s) => 2 * s.len(),
+    };
+    if bytes > *room {
+        return Ok(Box::new(Spooled::new(&stored)?));
+    }
+    *room -= bytes;
+    Ok(Box::new(stored))
+}
+
 impl Rows for Spooled {
     fn size(&self) -> (usize, usize) {
         (self.width, self.height)
@@ -127,6 +140,11 @@ mod tests {
             let expected = stored.rows(part.clone()).unwrap();
             assert_eq!(Rows::rows(&whole, part.clone()).unwrap(), expected);
             assert_eq!(spooled.rows(part).unwrap(), expected);
+        }
+        let mut room = 250;
+        for left in [130, 10, 10] {
+            let kept = put_aside(stored.clone(), &mut room).unwrap();
+            assert_eq!((room, kept.rows(1..3).unwrap()), (left, stored.rows(1..3).unwrap()));
         }
         let eight = Stored { width: 4, height: 5, samples: Samples::Eight((0..60).collect()) };
         assert_eq!(Spooled::new(&eight).unwrap().rows(3..5).unwrap(), eight.rows(3..5).unwrap());
