@@ -259,7 +259,7 @@ exposure = [{ file = "probe_*.jpg", time_s = -0.1 }]
             &[Swap("pipeline.toml", "radius_m = 0.1", "radius_m = 0.0")],
             "probe",
             2,
-            "pipeline.toml:73:1: `probe.radius_m` is 0",
+            "pipeline.toml:88:1: `probe.radius_m` is 0",
             "give a number above 0, at most 10; without it, it is 0.1",
         ),
         case(
