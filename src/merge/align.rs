@@ -10,6 +10,7 @@ pub use moved::Moved;
 
 use crate::exposure::Frame;
 use crate::image::{Code, CodeImage, Image};
+use crate::merge::order::by_exposure;
 use crate::response::Response;
 use rayon::prelude::*;
 
@@ -28,9 +29,9 @@ const GAIN: f32 = 0.85;
 
 /// For each frame by how many px along x and y its content lies beside that of the middle exposure.
 pub fn shifts(frames: &[Frame], response: &Response) -> Vec<[i32; 2]> {
-    let mut order: Vec<usize> = (0..frames.len()).collect();
-    order.sort_by(|&a, &b| frames[a].exposure.total_cmp(&frames[b].exposure));
     let mut found = vec![[0, 0]; frames.len()];
+    // What cannot be read is not moved; merging says so.
+    let Ok(order) = by_exposure(frames) else { return found };
     let middle = order.len() / 2;
     // Neighbours in exposure hold the most pixels in common; shifts add up from the middle outwards.
     let pairs = (middle..order.len().saturating_sub(1)).map(|k| (k, k + 1));
@@ -51,7 +52,6 @@ fn between(a: &Frame, b: &Frame, response: &Response) -> [i32; 2] {
     if w <= 2 * margin || h <= 2 * margin || b.codes.size() != (w, h) {
         return [0, 0];
     }
-    // What cannot be read is not moved; merging says so.
     let (Ok(ca), Ok(cb)) = (a.codes.rows(0..h), b.codes.rows(0..h)) else { return [0, 0] };
     let (la, lb) = (ca.map(|c| log(a, c)), cb.map(|c| log(b, c)));
     let mut edges: Vec<(f32, usize, usize)> = (margin..h - margin)

@@ -3,6 +3,7 @@
 use super::estimate::{Estimate, Reading, estimate, inconsistent, overexpose};
 use super::ghosts;
 use super::noise::{Noise, Sensor};
+use super::order::by_exposure;
 use super::{Merged, Problem};
 use crate::config;
 use crate::exposure::Frame;
@@ -21,7 +22,7 @@ pub struct Band {
     pub top: usize,
     /// Radiance, variance, clipping.
     pub merged: Merged,
-    /// Frames left out at each pixel since they see something else, one bit a frame.
+    /// Frames left out at each pixel since they see something else, one bit for each of the first 64 that were given.
     pub left_out: Image<u64>,
 }
 
@@ -51,7 +52,7 @@ pub struct Summary {
 }
 
 /// Merges frames of one view and size and hands the bands on from the top down; memory grows with the width and the
-/// count of frames, not with the height. `plate_exposure` sets the unit.
+/// count of frames, not with the height. `plate_exposure` sets the unit. The order of the frames makes no difference.
 pub fn merge_in_bands<E: From<Problem>>(
     frames: &[Frame],
     response: &Response,
@@ -60,18 +61,20 @@ pub fn merge_in_bands<E: From<Problem>>(
     mut take: impl FnMut(Band) -> Result<(), E>,
 ) -> Result<Summary, E> {
     let (width, height) = check(frames, plate_exposure)?;
-    let noise = Noise::new(response, frames, settings)?;
+    let order = by_exposure(frames).map_err(Problem::from)?;
+    let frames: Vec<Frame> = order.iter().map(|i| frames[*i]).collect();
     let view = View {
-        frames,
-        noise,
+        noise: Noise::new(response, &frames, settings)?,
         // Radiance at which each frame has relative exposure 1.
         units: frames.iter().map(|f| (plate_exposure / f.exposure) as f32).collect(),
         size: (width, height),
         deghost: settings.deghost && frames.len() > 2,
+        frames,
+        order,
     };
     let rows = (PIXELS / width.max(1)).clamp(1, height.max(1));
     let tops: Vec<usize> = (0..height).step_by(rows).collect();
-    let mut counts = Counts::new(frames.len());
+    let mut counts = Counts::new(view.frames.len());
     for group in tops.chunks(rayon::current_num_threads()) {
         let bands: Vec<_> = group.par_iter().map(|top| view.band(*top..(top + rows).min(height))).collect();
         for band in bands {
@@ -80,7 +83,7 @@ pub fn merge_in_bands<E: From<Problem>>(
             take(band)?;
         }
     }
-    Ok(counts.summary(*view.noise.sensors()))
+    Ok(counts.summary(&view))
 }
 
 fn check(frames: &[Frame], plate_exposure: f64) -> Result<(usize, usize), Problem> {
@@ -99,7 +102,10 @@ fn check(frames: &[Frame], plate_exposure: f64) -> Result<(usize, usize), Proble
 }
 
 struct View<'a> {
-    frames: &'a [Frame<'a>],
+    /// From the shortest exposure on.
+    frames: Vec<Frame<'a>>,
+    /// Where each of them stood among those given.
+    order: Vec<usize>,
     noise: Noise<'a>,
     units: Vec<f32>,
     size: (usize, usize),
@@ -110,7 +116,7 @@ impl View<'_> {
     fn band(&self, rows: Range<usize>) -> Result<(Band, Counts), Problem> {
         let margin = if self.deghost { ghosts::MARGIN } else { 0 };
         let wider = rows.start.saturating_sub(margin)..(rows.end + margin).min(self.size.1);
-        let read = |f: &Frame| f.codes.rows(wider.clone()).map_err(|e| Problem::Read { why: e.to_string() });
+        let read = |f: &Frame| f.codes.rows(wider.clone());
         let codes = self.frames.iter().map(read).collect::<Result<Vec<CodeImage>, _>>()?;
         let (width, all) = (self.size.0, wider.len() * self.size.0);
         let mut readings = Vec::new();
@@ -149,8 +155,15 @@ impl View<'_> {
             }
             counts.pixel(self, &codes, i, &estimates[i], without);
         }
-        let left_out = Image::from_pixels(width, rows.len(), left_out.pixels()[inner].to_vec());
+        let left_out = left_out.pixels()[inner].iter().map(|bits| self.as_given(*bits)).collect();
+        let left_out = Image::from_pixels(width, rows.len(), left_out);
         Ok((Band { top: rows.start, merged, left_out }, counts))
+    }
+
+    /// Bits of frames in the order in which they were given.
+    fn as_given(&self, bits: u64) -> u64 {
+        let set = self.order.iter().take(64).enumerate().filter(|(i, given)| bits & 1 << i != 0 && **given < 64);
+        set.fold(0, |bits, (_, given)| bits | 1 << given)
     }
 
     /// What all frames but some say of a channel of pixel `i`; where all would be left out, all stay.
@@ -243,16 +256,20 @@ impl Counts {
         }
     }
 
-    fn summary(&self, sensors: [Sensor; 3]) -> Summary {
+    fn summary(&self, view: &View) -> Summary {
         let share = |n: usize| n as f64 / self.pixels.max(1) as f64;
         let of = |f: &FrameCounts| FrameFigures {
             residual_stops: middle(&f.residuals, RESIDUAL_STEP),
             clipped_share: f.clipped as f64 / self.sampled.max(1) as f64,
             left_out_share: share(f.left_out),
         };
+        let mut frames = vec![FrameFigures::default(); self.frames.len()];
+        for (counts, given) in self.frames.iter().zip(&view.order) {
+            frames[*given] = of(counts);
+        }
         Summary {
-            frames: self.frames.iter().map(of).collect(),
-            sensors,
+            frames,
+            sensors: *view.noise.sensors(),
             clipped_share: share(self.clipped),
             median_relative_error: middle(&self.errors, ERROR_STEP),
         }

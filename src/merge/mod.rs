@@ -13,6 +13,7 @@ mod bands;
 mod estimate;
 mod ghosts;
 mod noise;
+mod order;
 mod problem;
 
 pub use crate::exposure::Frame;

@@ -65,7 +65,8 @@ pub struct Noise<'a> {
 }
 
 impl<'a> Noise<'a> {
-    /// The noise of a camera with this response: as the settings have it, or else as the frames show it.
+    /// The noise of a camera with this response: as the settings have it, or else as the frames, the shortest exposure
+    /// first, show it.
     pub fn new(response: &'a Response, frames: &[Frame], settings: &config::Merge) -> Result<Self, Problem> {
         let sensors = if settings.full_well_electrons > 0.0 {
             [Sensor::of_electrons(settings.full_well_electrons, settings.read_noise_electrons); 3]
@@ -176,17 +177,15 @@ struct Bin {
 /// Noise from how far neighbouring exposures differ where both are well exposed: var(x_a − r x_b) = V(x_a) + r² V(x_b), by
 /// the deviation that 68 % keep, as σ is of a normal distribution: edges and whatever moved hardly sway it.
 fn estimate(response: &Response, frames: &[Frame]) -> Result<[Sensor; 3], Problem> {
-    let mut order: Vec<&Frame> = frames.iter().collect();
-    order.sort_by(|a, b| a.exposure.total_cmp(&b.exposure));
     let height = frames.first().map_or(0, |f| f.codes.size().1);
     let stride = height.div_ceil(ROWS).max(1);
     let mut sampled = Vec::new();
-    for frame in &order {
+    for frame in frames {
         let rows = (0..height).step_by(stride).map(|y| frame.codes.rows(y..y + 1));
-        sampled.push(rows.collect::<Result<Vec<_>, _>>().map_err(|e| Problem::Read { why: e.to_string() })?);
+        sampled.push(rows.collect::<Result<Vec<_>, _>>()?);
     }
     Ok([0, 1, 2].map(|channel| {
-        let pairs = sampled.windows(2).zip(order.windows(2));
+        let pairs = sampled.windows(2).zip(frames.windows(2));
         let bins: Vec<Bin> = pairs
             .flat_map(|(rows, frames)| {
                 let r = frames[0].exposure / frames[1].exposure;

@@ -30,6 +30,12 @@ pub enum Problem {
     },
 }
 
+impl From<std::io::Error> for Problem {
+    fn from(e: std::io::Error) -> Self {
+        Self::Read { why: e.to_string() }
+    }
+}
+
 impl crate::error::Problem for Problem {
     fn hint(&self) -> String {
         match self {

@@ -5,6 +5,7 @@ use super::homography::{Edge, Free, Logs, correlation, cost, largest_move, map, 
 use super::{GAIN, HELD, NEEDED};
 use crate::exposure::Frame;
 use crate::image::Image;
+use crate::merge::order::by_exposure;
 use crate::response::Response;
 use nalgebra::Matrix3;
 use rayon::prelude::*;
@@ -55,8 +56,7 @@ impl Motion {
 /// Motion of each frame; the middle exposure stands still. Frames that share too few tones to tell are taken to lie as
 /// their neighbour.
 pub fn motions(frames: &[Frame], response: &Response) -> std::io::Result<Vec<Motion>> {
-    let mut order: Vec<usize> = (0..frames.len()).collect();
-    order.sort_by(|&a, &b| frames[a].exposure.total_cmp(&frames[b].exposure));
+    let order = by_exposure(frames)?;
     let mut found = vec![Motion::Still; frames.len()];
     let Some(size) = frames.first().map(|f| f.codes.size()) else { return Ok(found) };
     let factor = ((size.0 * size.1) as f64 / PIXELS as f64).sqrt().ceil().max(1.0) as usize;
