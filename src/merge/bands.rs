@@ -162,7 +162,8 @@ impl View<'_> {
 
     /// Bits of frames in the order in which they were given.
     fn as_given(&self, bits: u64) -> u64 {
-        let set = self.order.iter().take(64).enumerate().filter(|(i, given)| bits & 1 << i != 0 && **given < 64);
+        let set =
+            self.order.iter().take(64).enumerate().filter(|(i, given)| bits & 1 << i != 0 && **given < 64);
         set.fold(0, |bits, (_, given)| bits | 1 << given)
     }
 
