@@ -113,26 +113,58 @@ pub struct ExposureOverride {
 }
 
 settings! {
-    /// Camera response curve (Debevec and Malik 1997).
+    /// Camera response curve.
     Response {
         /// Which exposures to fit on.
         role: Role = Role::Brackets,
+        /// How it is fitted.
+        method: ResponseMethod = ResponseMethod::Auto,
+        /// Response of another set of the same camera with the same settings (`response/response.json`), to be used in the
+        /// place of a fit.
+        file: Option<PathBuf> = None,
+        /// Whether exposures that the pixels contradict are replaced by what the pixels say.
+        exposures_from_pixels: bool = true,
         /// Sample positions in each channel.
         samples: usize = 1000,
         /// Weight λ of the squared second differences of ln exposure, where the samples' mean weight is 1 a level.
         smoothness: f64 = 1000.0,
+        /// Seed of the order in which equally good sample positions are taken, and of the band.
+        seed: u64 = 0,
     }
+}
+
+/// How the response is fitted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ResponseMethod {
+    /// The one that leaves the least residual on places left out.
+    Auto,
+    /// Least squares over a free value at each level (Debevec and Malik 1997).
+    DebevecMalik,
+    /// A polynomial (Mitsunaga and Nayar 1999).
+    MitsunagaNayar,
+    /// Means of exposure at each level in turn with radiance (Robertson, Borman and Stevenson 2003).
+    Robertson,
+}
+
+impl ResponseMethod {
+    /// Those that `auto` tries, the one that is taken in doubt first.
+    pub const ALL: [Self; 3] = [Self::DebevecMalik, Self::MitsunagaNayar, Self::Robertson];
 }
 
 settings! {
     /// Exposures to linear radiance.
     Merge {
-        /// Full-well capacity, electrons; sets the photon noise.
-        full_well_electrons: f64 = 12_000.0,
-        /// Read noise, electrons.
+        /// Full-well capacity, electrons; sets the photon noise. 0: estimated from the exposures.
+        full_well_electrons: f64 = 0.0,
+        /// Read noise, electrons, where the full-well capacity is given.
         read_noise_electrons: f64 = 5.0,
         /// Code values at or above this share of the largest are taken as clipped.
         clip: f32 = 0.985,
+        /// Whether frames are brought over each other.
+        align: bool = true,
+        /// Whether what moved is left out of the frames in which it differs.
+        deghost: bool = true,
     }
 }
 

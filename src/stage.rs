@@ -33,13 +33,13 @@ pub struct Stage {
 
 /// All stages in running order.
 pub const STAGES: &[Stage] = &[
-    Stage { name: "ingest", version: 1, reads: &[], about: "read photographs and EXIF, sort them by role" },
-    Stage { name: "response", version: 1, reads: &["ingest"], about: "fit the camera response curve" },
-    Stage { name: "merge", version: 2, reads: &["ingest", "response"], about: "merge the plate's exposures" },
+    Stage { name: "ingest", version: 2, reads: &[], about: "read photographs and EXIF, sort them by role" },
+    Stage { name: "response", version: 2, reads: &["ingest"], about: "fit the camera response curve" },
+    Stage { name: "merge", version: 3, reads: &["ingest", "response"], about: "merge the plate's exposures" },
     Stage { name: "calibrate", version: 1, reads: &["ingest"], about: "find lens and camera poses" },
     Stage {
         name: "probe",
-        version: 2,
+        version: 3,
         reads: &["ingest", "response", "calibrate"],
         about: "merge the probe's exposures, find the ball, unwrap it",
     },

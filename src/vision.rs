@@ -1,7 +1,9 @@
-//! OpenCV, and nothing but OpenCV: chessboard corners, markers, lens calibration, poses of a plane, video.
+//! OpenCV, and nothing but OpenCV: chessboard corners, markers, lens calibration, poses of a plane, video, and its own
+//! merging of exposures, which insitu is measured beside.
 //!
 //! OpenCV counts pixel centres as integers; the shift by half a pixel is made here and nowhere else.
 
+pub mod hdr;
 mod markers;
 mod video;
 

@@ -4,6 +4,7 @@ use insitu::artefact::{exr, json, remake};
 use insitu::calibrate::Cameras;
 use insitu::error::{Context as _, Error, FileContext, Result};
 use insitu::evaluate::gallery::{Gallery, gallery};
+use insitu::evaluate::radiometry;
 use insitu::evaluate::references::{read_reference, read_truth};
 use insitu::evaluate::{Comparison, Measured, Ours, Page, Reference, Report, check_bounds, compare, page};
 use insitu::exposure::Capture;
@@ -42,7 +43,8 @@ fn main() -> std::process::ExitCode {
         };
         let compared = reference.as_ref().zip(comparison.as_ref());
         let notes = judge_stages(ctx, &response, &ours, compared, &mut measured)?;
-        write(ctx, &measured, gallery(&ours, comparison.as_ref(), encode), notes)
+        let sections = vec![radiometry::section(&response, ctx.manifest("merge").ok().as_ref())];
+        write(ctx, &measured, gallery(&ours, comparison.as_ref(), encode), sections, notes)
     })
 }
 
@@ -83,7 +85,13 @@ fn judge_stages(
     Ok(truth.judge_noise(&stem.to_string_lossy(), comparison, out).into_iter().collect())
 }
 
-fn write(ctx: &Context, measured: &Measured, gallery: Gallery, notes: Vec<String>) -> Result<()> {
+fn write(
+    ctx: &Context,
+    measured: &Measured,
+    gallery: Gallery,
+    sections: Vec<String>,
+    notes: Vec<String>,
+) -> Result<()> {
     let (width, height) = gallery.size();
     let report = Report::new(measured, &ctx.pipeline.evaluate, [width, height]);
     if !report.judged {
@@ -97,7 +105,7 @@ fn write(ctx: &Context, measured: &Measured, gallery: Gallery, notes: Vec<String
     let stages = earlier.filter_map(|s| ctx.manifest(s.name).ok()).collect();
     let title = ctx.base.file_name().map_or("insitu".into(), |n| n.to_string_lossy().into_owned());
     let Gallery { pictures, maps } = gallery;
-    let html = page(&Page { title: &title, report: &report, pictures, maps, stages, notes })?;
+    let html = page(&Page { title: &title, report: &report, pictures, maps, stages, sections, notes })?;
     let write = |name: &str, text: &str| {
         let path = ctx.output(name);
         std::fs::write(&path, text).at("writing", &path)

@@ -66,10 +66,7 @@ pub fn write(path: &Path, planes: &Planes, kind: Kind) -> Result<()> {
         .collect::<Vec<_>>();
     let mut layer = exr::Layer::new(
         (planes.width, planes.height),
-        exr::LayerAttributes {
-            software_name: Some(concat!("insitu ", env!("CARGO_PKG_VERSION")).into()),
-            ..Default::default()
-        },
+        exr::LayerAttributes { software_name: Some(SOFTWARE.into()), ..Default::default() },
         exr::Encoding::SMALL_LOSSLESS,
         exr::AnyChannels::sort(list.into_iter().collect()),
     );
@@ -77,21 +74,111 @@ pub fn write(path: &Path, planes: &Planes, kind: Kind) -> Result<()> {
         layer.attributes.environment_map = Some(exr::attribute::EnvironmentMap::LatitudeLongitude);
     }
     let mut image = exr::Image::from_layer(layer);
-    image.attributes.chromaticities = Some(exr::attribute::Chromaticities {
-        red: exr::Vec2(0.64, 0.33),
-        green: exr::Vec2(0.30, 0.60),
-        blue: exr::Vec2(0.15, 0.06),
-        white: exr::Vec2(0.3127, 0.3290),
-    });
+    image.attributes.chromaticities = Some(CHROMATICITIES);
     use exr::WritableImage;
-    image.write().to_file(path).map_err(|e| match e {
+    image.write().to_file(path).map_err(|e| not_written(e, path))
+}
+
+/// Writes planes of the given names a band of rows at a time, from the top down: `fill` gets what takes a band.
+pub fn write_in_bands<T>(
+    path: &Path,
+    (width, height): (usize, usize),
+    names: &[&str],
+    fill: impl FnOnce(&mut dyn FnMut(&Planes) -> Result<()>) -> Result<T>,
+) -> Result<T> {
+    use ::exr::block::writer::ChunksWriter;
+    use ::exr::block::{UncompressedBlock, enumerate_ordered_header_block_indices};
+    use ::exr::meta::attribute::{ChannelDescription, LineOrder, SampleType};
+    use ::exr::meta::{BlockDescription, header::Header};
+    use rayon::prelude::*;
+    let file = crate::error::FileContext::at(std::fs::File::create(path), "writing", path)?;
+    let mut sorted = names.to_vec();
+    sorted.sort_unstable();
+    let channels = sorted.iter().map(|n| ChannelDescription::named(*n, SampleType::F32)).collect();
+    let mut header = Header::new("".into(), (width, height), channels).with_encoding(
+        exr::Compression::ZIP16,
+        BlockDescription::ScanLines,
+        LineOrder::Increasing,
+    );
+    header.own_attributes.software_name = Some(SOFTWARE.into());
+    header.shared_attributes.chromaticities = Some(CHROMATICITIES);
+    let mut outcome = None;
+    let written = ::exr::block::write(
+        std::io::BufWriter::new(file),
+        std::iter::once(header).collect(),
+        true,
+        |meta, out| {
+            let mut blocks =
+                enumerate_ordered_header_block_indices(&meta.headers).collect::<Vec<_>>().into_iter();
+            let mut waiting: Vec<u8> = Vec::new();
+            let row = sorted.len() * width * size_of::<f32>();
+            let mut failed = None;
+            let mut take = |band: &Planes| {
+                for y in 0..band.height {
+                    for name in &sorted {
+                        let plane = band
+                            .plane(name)
+                            .ok_or_else(|| Error::Bug(format!("a band without plane {name}")))?;
+                        waiting.extend_from_slice(bytemuck::cast_slice(&plane[y * width..(y + 1) * width]));
+                    }
+                }
+                let mut whole = Vec::new();
+                let mut used = 0;
+                while let Some((_, index)) = blocks.as_slice().first()
+                    && waiting.len() - used >= index.pixel_size.height() * row
+                {
+                    let bytes = index.pixel_size.height() * row;
+                    let data = waiting[used..used + bytes].to_vec();
+                    used += bytes;
+                    whole.extend(blocks.next().map(|(at, index)| (at, UncompressedBlock { index, data })));
+                }
+                waiting.drain(..used);
+                let packed = whole
+                    .into_par_iter()
+                    .map(|(at, block)| Ok((at, block.compress_to_chunk(&meta.headers)?)));
+                let packed = packed.collect::<exr::Result<Vec<_>>>();
+                let written = packed
+                    .and_then(|all| all.into_iter().try_for_each(|(at, chunk)| out.write_chunk(at, chunk)));
+                written.map_err(|e| {
+                    let problem = format!("{e}");
+                    failed = Some(e);
+                    Error::Bug(format!("writing {}: {problem}", path.display()))
+                })
+            };
+            outcome = Some(fill(&mut take));
+            match (failed, &outcome) {
+                (Some(e), _) => Err(e),
+                (None, Some(Ok(_))) => Ok(()),
+                _ => Err(exr::Error::Aborted),
+            }
+        },
+    );
+    match (written, outcome) {
+        (Ok(()), Some(done)) => done,
+        (Err(exr::Error::Aborted), Some(Err(e))) => Err(e),
+        (Err(e), _) => Err(not_written(e, path)),
+        (Ok(()), None) => Err(Error::Bug(format!("writing {}: nothing was written", path.display()))),
+    }
+}
+
+fn not_written(e: exr::Error, path: &Path) -> Error {
+    match e {
         exr::Error::Io(e) => {
             let attempt: std::io::Result<()> = Err(e);
             crate::error::FileContext::at(attempt, "writing", path).expect_err("an error stays one")
         }
         e => Error::Bug(format!("writing {}: {e}", path.display())),
-    })
+    }
 }
+
+const SOFTWARE: &str = concat!("insitu ", env!("CARGO_PKG_VERSION"));
+/// Rec. 709.
+const CHROMATICITIES: exr::attribute::Chromaticities = exr::attribute::Chromaticities {
+    red: exr::Vec2(0.64, 0.33),
+    green: exr::Vec2(0.30, 0.60),
+    blue: exr::Vec2(0.15, 0.06),
+    white: exr::Vec2(0.3127, 0.3290),
+};
 
 /// Reads all planes; refuses damaged files and samples that are not finite.
 pub fn read(path: &Path) -> Result<Planes> {
@@ -170,6 +257,52 @@ mod tests {
         let path = dir.path().join("a.exr");
         write_radiance(&path, &picture()).unwrap();
         assert_eq!(read_radiance(&path).unwrap(), picture());
+    }
+
+    #[test]
+    fn bands_make_the_same_file_as_the_whole() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.exr");
+        let image = Image::from_fn(9, 53, |x, y| Radiance([x as f32, y as f32, (x * y) as f32]));
+        let band = |y0: usize, y1: usize| Image::from_fn(9, y1 - y0, |x, y| *image.at(x, y0 + y));
+        let sum = write_in_bands(&path, (9, 53), &["R", "G", "B"], |take| {
+            for (y0, y1) in [(0, 1), (1, 33), (33, 50), (50, 53)] {
+                take(&Planes::from_radiance(&band(y0, y1)))?;
+            }
+            Ok(7)
+        });
+        assert_eq!(sum.unwrap(), 7);
+        assert_eq!(read_radiance(&path).unwrap(), image);
+        let early = write_in_bands(&path, (9, 53), &["R"], |_| Err::<(), _>(Error::Bug("stopped".into())));
+        assert!(early.unwrap_err().to_string().starts_with("stopped"));
+    }
+
+    #[test]
+    fn the_compression_that_blender_writes_is_read() {
+        use super::exr::WritableImage;
+        let dir = tempfile::tempdir().unwrap();
+        for (name, compression) in [("a", exr::Compression::DWAA(None)), ("b", exr::Compression::DWAB(None))]
+        {
+            let path = dir.path().join(name);
+            let smooth =
+                Image::from_fn(70, 50, |x, y| Radiance([0.5 + x as f32 * 0.01, 1.0 + y as f32 * 0.1, 3.0]));
+            let list = (0..3).map(|k| {
+                let samples = smooth.pixels().iter().map(|p| p.0[k]).collect();
+                exr::AnyChannel::new(["R", "G", "B"][k], exr::FlatSamples::F32(samples))
+            });
+            let encoding = exr::Encoding { compression, ..exr::Encoding::SMALL_LOSSLESS };
+            let layer = exr::Layer::new(
+                (70, 50),
+                Default::default(),
+                encoding,
+                exr::AnyChannels::sort(list.collect()),
+            );
+            exr::Image::from_layer(layer).write().to_file(&path).unwrap();
+            let read = read_radiance(&path).unwrap();
+            for (a, b) in read.pixels().iter().zip(smooth.pixels()) {
+                assert!((0..3).all(|k| (a.0[k] / b.0[k] - 1.0).abs() < 0.02), "{a:?} {b:?}");
+            }
+        }
     }
 
     #[test]

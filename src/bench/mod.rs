@@ -14,6 +14,7 @@ mod methods;
 mod occlusion;
 mod passes;
 mod plot;
+mod radiometry;
 mod statics;
 mod subject;
 mod subtractive;
@@ -61,6 +62,10 @@ pub enum Table {
     Occlusion,
     /// The light dome by lights: time on a film (supan2006, Table 1), errors on captures (Figure 6), the film beside its truth.
     Dome,
+    /// Response and merged radiance against the truth, beside OpenCV and pfstools; takes folders of exposures, too.
+    Radiometry,
+    /// How the response varies with samples, size, exposures and seed, against its own band; takes folders, too.
+    Stability,
 }
 
 /// What a plain `insitu bench` prints.
@@ -83,7 +88,10 @@ pub fn bench(
         });
     }
     let threads = std::thread::available_parallelism().map_or(1, |n| n.get());
-    let settings = validate::settings_under(paths)?;
+    // Folders of exposures have no settings.
+    let others =
+        tables.is_empty() || tables.iter().any(|t| !matches!(t, Table::Radiometry | Table::Stability));
+    let settings = if others { validate::settings_under(paths)? } else { Vec::new() };
     if let Some(folder) = pictures {
         std::fs::create_dir_all(folder).at("making a folder for pictures", folder)?;
     }
@@ -99,6 +107,8 @@ pub fn bench(
             Table::Truth => truth::print(&settings, pictures, printer)?,
             Table::Methods => methods::print(&settings, frames, printer)?,
             Table::Subtractive => subtractive::print(&settings, environments, pictures, printer)?,
+            Table::Radiometry => radiometry::print(paths, printer)?,
+            Table::Stability => radiometry::print_stability(paths, printer)?,
             Table::Occlusion => occlusion::print(&settings, frames, pictures, printer)?,
             Table::Dome => dome::print(&settings, frames, pictures, printer)?,
             Table::Stages | Table::Frames => {
@@ -113,6 +123,11 @@ pub fn bench(
         }
     }
     Ok(())
+}
+
+/// Merges a folder of large frames by one program and prints seconds and peak memory: a process of the table `radiometry`.
+pub fn merge_cost(program: &str, folder: &Path, printer: &Printer) -> Result<()> {
+    radiometry::merge_cost(program, folder, printer)
 }
 
 /// Runs what is stale of each settings file.

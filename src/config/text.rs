@@ -31,7 +31,9 @@ pub fn parse<T: serde::de::DeserializeOwned>(text: &str, path: &Path) -> Result<
         let problem = e.message().lines().collect::<Vec<_>>().join(" ");
         let problem =
             problem.replace("expected f64", "expected a number").replace("expected f32", "expected a number");
-        let problem = problem.replace("expected usize", "expected a whole number of at least 0");
+        let problem = ["usize", "u64"].iter().fold(problem, |problem, count| {
+            problem.replace(&format!("expected {count}"), "expected a whole number of at least 0")
+        });
         let hint = nearest_key(&problem).map_or("see the commented pipeline.toml of insitu".into(), |key| {
             format!("did you mean `{key}`?")
         });

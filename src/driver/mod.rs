@@ -111,6 +111,14 @@ enum Command {
         #[arg(long, value_name = "DIR")]
         pictures: Option<PathBuf>,
     },
+    /// Time and memory of one program on a folder of frames; the table `radiometry` starts it.
+    #[command(hide = true)]
+    MergeCost {
+        /// Which program.
+        program: String,
+        /// Folder of the frames.
+        folder: PathBuf,
+    },
 }
 
 /// The `main` of the program.
@@ -139,6 +147,7 @@ fn start() -> ExitCode {
         Command::Bench { pipelines, frames, tables, environments, pictures } => {
             bench::bench(&pipelines, frames, &tables, environments.as_deref(), pictures.as_deref(), &printer)
         }
+        Command::MergeCost { program, folder } => bench::merge_cost(&program, &folder, &printer),
     };
     cli::exit(&printer, outcome)
 }

@@ -20,6 +20,8 @@ pub struct Page<'a> {
     pub maps: Vec<(&'a str, ErrorMap)>,
     /// Manifests of the stages that ran.
     pub stages: Vec<Manifest>,
+    /// Further parts, as HTML.
+    pub sections: Vec<String>,
     /// Remarks on how the figures came about.
     pub notes: Vec<String>,
 }
@@ -74,6 +76,7 @@ pub fn page(page: &Page) -> Result<String> {
         }
         html += "</div>";
     }
+    page.sections.iter().for_each(|s| html += s);
     html += "<h2>Stages</h2>";
     html += &stages_table(&page.stages);
     html += "</html>\n";
@@ -161,7 +164,7 @@ fn stages_table(stages: &[Manifest]) -> String {
     html + "</table>"
 }
 
-fn escape(text: &str) -> String {
+pub(super) fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
@@ -219,6 +222,7 @@ mod tests {
             pictures: vec![("plate", Image::from_fn(8, 8, |_, _| Code([0.5; 3])))],
             maps: vec![("error", error_map(&Image::from_fn(8, 8, |_, _| Radiance([0.1; 3])), 0.2))],
             stages: vec![manifest],
+            sections: vec!["<p>a part".into()],
             notes: vec!["a note".into()],
         })
         .unwrap();
@@ -229,6 +233,7 @@ mod tests {
             "≤ 0.3500",
             "a &lt; b",
             "sources_used",
+            "<p>a part",
         ] {
             assert!(html.contains(part), "{part}");
         }

@@ -7,6 +7,7 @@ pub mod figures;
 pub mod gallery;
 mod html;
 mod pictures;
+pub mod radiometry;
 pub mod references;
 pub mod region;
 pub mod true_scene;

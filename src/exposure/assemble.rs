@@ -19,6 +19,10 @@ pub fn assemble(
     let mut images = Vec::new();
     for (role, file) in roles {
         let Some((header, upright)) = stated.get(file).map(|h| (h, h.upright_size())) else { continue };
+        // The grid's colours do not matter.
+        if let Some(profile) = header.profile.as_ref().filter(|_| *role != Role::Grid) {
+            return Err(Problem::Profile { file: file.clone(), profile: profile.clone() });
+        }
         images.push(Photo {
             file: file.clone(),
             role: *role,

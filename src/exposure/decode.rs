@@ -1,10 +1,10 @@
 //! Pixels of a photograph, turned upright.
 
-use super::Photograph;
 use super::header::{Header, supported};
+use super::{Photograph, Rows, Samples, Stored, no_codes};
 use crate::artefact::exr;
 use crate::error::{Error, FileContext, Result};
-use crate::image::{Code, Image, Radiance};
+use crate::image::{Image, Radiance};
 use image::metadata::Orientation;
 use image::{DynamicImage, ImageFormat, ImageReader};
 use std::path::Path;
@@ -15,9 +15,49 @@ const COPY_AGAIN: &str = "copy the file again from the camera, or leave it out o
 /// Decodes JPEG, PNG and TIFF of 8 or 16 bits to codes, Radiance HDR, OpenEXR and float TIFF to linear radiance. Grey
 /// is taken as equal R, G, B. EXIF orientation is applied.
 pub fn decode(path: &Path) -> Result<Photograph> {
-    if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("exr")) {
+    if is_exr(path) {
         return exr::read_radiance(path).map(Photograph::Linear);
     }
+    let (image, header) = upright(path)?;
+    if !header.linear {
+        let whole = |stored: Stored| stored.rows(0..stored.height).at(DOING, path);
+        return whole(stored(image, &header)).map(Photograph::Codes);
+    }
+    let (width, height) = (image.width() as usize, image.height() as usize);
+    let rgb = image.into_rgb32f();
+    let pixels: Vec<_> = rgb.pixels().map(|p| Radiance(p.0)).collect();
+    if let Some(i) = pixels.iter().position(|p| p.0.iter().any(|v| !v.is_finite())) {
+        let problem = format!("is {:?} at pixel ({}, {})", pixels[i].0, i % width, i / width);
+        return Err(Error::file(DOING, path, problem, "every sample must be a finite number"));
+    }
+    Ok(Photograph::Linear(Image::from_pixels(width, height, pixels)))
+}
+
+/// Decodes a photograph to codes as its file holds them, which need less memory; a linear picture is refused.
+pub fn decode_stored(path: &Path) -> Result<Stored> {
+    if is_exr(path) {
+        return Err(no_codes(path));
+    }
+    let (image, header) = upright(path)?;
+    if header.linear { Err(no_codes(path)) } else { Ok(stored(image, &header)) }
+}
+
+fn is_exr(path: &Path) -> bool {
+    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("exr"))
+}
+
+fn stored(image: DynamicImage, header: &Header) -> Stored {
+    let (width, height) = (image.width() as usize, image.height() as usize);
+    let samples = if header.bits > 8 {
+        Samples::Sixteen(image.into_rgb16().into_raw())
+    } else {
+        Samples::Eight(image.into_rgb8().into_raw())
+    };
+    Stored { width, height, samples }
+}
+
+/// The whole picture with its header.
+fn upright(path: &Path) -> Result<(DynamicImage, Header)> {
     let header = Header::read(path)?;
     let bytes = std::fs::read(path).at(DOING, path)?;
     let reader = ImageReader::new(std::io::Cursor::new(&bytes)).with_guessed_format().at(DOING, path)?;
@@ -36,22 +76,7 @@ pub fn decode(path: &Path) -> Result<Photograph> {
         .map_err(|e| Error::file(DOING, path, format!("damaged or cut short ({e})"), COPY_AGAIN))?;
     image.apply_orientation(Orientation::from_exif(header.orientation).unwrap_or(Orientation::NoTransforms));
     opaque(&image, path)?;
-    let (width, height) = (image.width() as usize, image.height() as usize);
-    if header.linear {
-        let rgb = image.into_rgb32f();
-        let pixels: Vec<_> = rgb.pixels().map(|p| Radiance(p.0)).collect();
-        if let Some(i) = pixels.iter().position(|p| p.0.iter().any(|v| !v.is_finite())) {
-            let problem = format!("is {:?} at pixel ({}, {})", pixels[i].0, i % width, i / width);
-            return Err(Error::file(DOING, path, problem, "every sample must be a finite number"));
-        }
-        return Ok(Photograph::Linear(Image::from_pixels(width, height, pixels)));
-    }
-    let pixels = if header.bits > 8 {
-        image.into_rgb16().pixels().map(|p| Code(p.0.map(|v| f32::from(v) / 65535.0))).collect()
-    } else {
-        image.into_rgb8().pixels().map(|p| Code(p.0.map(|v| f32::from(v) / 255.0))).collect()
-    };
-    Ok(Photograph::Codes(Image::from_pixels(width, height, pixels)))
+    Ok((image, header))
 }
 
 /// Colour under a transparent pixel means nothing, so alpha can go only where it is 1 everywhere.

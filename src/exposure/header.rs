@@ -1,5 +1,6 @@
 //! What an image file says of itself before its pixels are decoded.
 
+use super::profile::foreign;
 use crate::error::{Error, FileContext, Result};
 use exif::{Exif, In, Tag, Value};
 use image::{ImageDecoder, ImageFormat, ImageReader};
@@ -35,6 +36,10 @@ pub struct Header {
     pub date: Option<String>,
     /// Maker and model of the camera.
     pub camera: Option<String>,
+    /// Lens.
+    pub lens: Option<String>,
+    /// Colour profile that it has embedded, where its primaries are not those of sRGB.
+    pub profile: Option<String>,
 }
 
 const DOING: &str = "reading the header of a photograph";
@@ -56,7 +61,9 @@ impl Header {
         };
         let reader = ImageReader::new(BufReader::new(file)).with_guessed_format().at(DOING, path)?;
         let format = supported(reader.format(), path)?;
-        let decoder = reader.into_decoder().map_err(damaged)?;
+        let mut decoder = reader.into_decoder().map_err(damaged)?;
+        // A profile that cannot be read is as good as none.
+        let profile = decoder.icc_profile().ok().flatten().and_then(|icc| foreign(&icc));
         let (width_px, height_px) = decoder.dimensions();
         let colour = decoder.color_type();
         let bits = 8 * u32::from(colour.bytes_per_pixel()) / u32::from(colour.channel_count());
@@ -66,6 +73,7 @@ impl Header {
             bits,
             linear: format == ImageFormat::Hdr || bits == 32,
             orientation: 1,
+            profile,
             ..Self::default()
         };
         let mut file = BufReader::new(File::open(path).at(DOING, path)?);
@@ -101,6 +109,7 @@ impl Header {
         let orientation = number(Tag::Orientation).unwrap_or(1.0);
         self.orientation = if (1.0..=8.0).contains(&orientation) { orientation as u8 } else { 1 };
         self.date = text(Tag::DateTimeOriginal);
+        self.lens = text(Tag::LensModel);
         let camera: Vec<_> = [text(Tag::Make), text(Tag::Model)].into_iter().flatten().collect();
         self.camera = (!camera.is_empty()).then(|| camera.join(" "));
         self

@@ -7,13 +7,16 @@ mod assemble;
 mod decode;
 mod header;
 mod problem;
+mod profile;
 mod roles;
+mod rows;
 
 pub use assemble::assemble;
-pub use decode::decode;
+pub use decode::{decode, decode_stored};
 pub use header::{Header, header_digest};
 pub use problem::{Problem, role_name};
 pub use roles::{Assignment, assign, derive, list, listing_digest};
+pub use rows::{Rows, Samples, Spooled, Stored, put_aside};
 
 use crate::artefact::json::JsonArtefact;
 use crate::config::Role;
@@ -138,21 +141,25 @@ impl Photograph {
     pub fn codes(self, path: &Path) -> Result<CodeImage> {
         match self {
             Self::Codes(image) => Ok(image),
-            Self::Linear(_) => Err(Error::file(
-                "reading code values",
-                path,
-                "holds linear radiance, not the codes of a camera",
-                "give JPEG, PNG or TIFF photographs here; EXR and HDR can be the plate or the probe",
-            )),
+            Self::Linear(_) => Err(no_codes(path)),
         }
     }
 }
 
+fn no_codes(path: &Path) -> Error {
+    Error::file(
+        "reading code values",
+        path,
+        "holds linear radiance, not the codes of a camera",
+        "give JPEG, PNG or TIFF photographs here; EXR and HDR can be the plate or the probe",
+    )
+}
+
 /// One exposure of a view.
-#[derive(Debug, Clone, Copy)]
+#[derive(Clone, Copy)]
 pub struct Frame<'a> {
     /// What the camera stored.
-    pub codes: &'a CodeImage,
+    pub codes: &'a dyn Rows,
     /// [`Exposure::scale`].
     pub exposure: f64,
 }
@@ -162,16 +169,28 @@ pub struct Frame<'a> {
 pub fn load(ctx: &Context, capture: &Capture, photo: &Photo) -> Result<Photograph> {
     let path = ctx.user_file(&capture.photos.join(&photo.file))?;
     let photograph = decode(&path)?;
-    let (width, height) = photograph.size();
-    if (width, height) != (photo.width_px as usize, photo.height_px as usize) {
-        return Err(Error::file(
-            "reading a photograph",
-            &path,
-            format!("is {width}×{height} px, was {}×{} px at ingest", photo.width_px, photo.height_px),
-            "run again from stage `ingest`",
-        ));
-    }
+    check_size(&path, photo, photograph.size())?;
     Ok(photograph)
+}
+
+/// The same for a photograph with codes, as its file holds them.
+pub fn load_stored(ctx: &Context, capture: &Capture, photo: &Photo) -> Result<Stored> {
+    let path = ctx.user_file(&capture.photos.join(&photo.file))?;
+    let stored = decode_stored(&path)?;
+    check_size(&path, photo, stored.size())?;
+    Ok(stored)
+}
+
+fn check_size(path: &Path, photo: &Photo, (width, height): (usize, usize)) -> Result<()> {
+    if (width, height) == (photo.width_px as usize, photo.height_px as usize) {
+        return Ok(());
+    }
+    Err(Error::file(
+        "reading a photograph",
+        path,
+        format!("is {width}×{height} px, was {}×{} px at ingest", photo.width_px, photo.height_px),
+        "run again from stage `ingest`",
+    ))
 }
 
 #[cfg(test)]

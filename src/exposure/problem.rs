@@ -65,6 +65,14 @@ pub enum Problem {
         /// Its value.
         value: f64,
     },
+    /// A colour profile that would have to be converted.
+    #[error("{file} has {profile} embedded, not sRGB")]
+    Profile {
+        /// The file.
+        file: String,
+        /// What it has.
+        profile: String,
+    },
     /// Exposures that cannot be compared.
     #[error("{with} has {what}, {without} has none, so their exposures cannot be compared")]
     Mixed {
@@ -96,6 +104,10 @@ impl crate::error::Problem for Problem {
                 "state it under [ingest] in pipeline.toml: exposure = [{{ file = \"{file}\", time_s = 0.01 }}], and f_number and iso \
                  if they vary"
             ),
+            Self::Profile { .. } => {
+                "develop it again as sRGB, all photographs alike: a conversion afterwards would mix the channels' responses"
+                    .into()
+            }
             Self::Mixed { what, without, .. } => {
                 let key = if *what == "an ISO speed" { "iso" } else { "f_number" };
                 format!("state it under [ingest] in pipeline.toml: exposure = [{{ file = \"{without}\", {key} = … }}]")

@@ -1,8 +1,16 @@
-//! Whole-pixel shifts between exposures of one view: a tripod that was touched. Compared is the logarithm of the exposure
-//! at edges that both frames hold, so that the exposure time makes no difference.
+//! Motion between exposures of one view: a tripod that was touched, a camera in the hand. Compared is the logarithm of the
+//! exposure at edges that both frames hold, so that the exposure time makes no difference.
+
+mod homography;
+mod motion;
+mod moved;
+
+pub use motion::{Motion, motions};
+pub use moved::Moved;
 
 use crate::exposure::Frame;
 use crate::image::{Code, CodeImage, Image};
+use crate::merge::order::by_exposure;
 use crate::response::Response;
 use rayon::prelude::*;
 
@@ -21,9 +29,9 @@ const GAIN: f32 = 0.85;
 
 /// For each frame by how many px along x and y its content lies beside that of the middle exposure.
 pub fn shifts(frames: &[Frame], response: &Response) -> Vec<[i32; 2]> {
-    let mut order: Vec<usize> = (0..frames.len()).collect();
-    order.sort_by(|&a, &b| frames[a].exposure.total_cmp(&frames[b].exposure));
     let mut found = vec![[0, 0]; frames.len()];
+    // What cannot be read is not moved; merging says so.
+    let Ok(order) = by_exposure(frames) else { return found };
     let middle = order.len() / 2;
     // Neighbours in exposure hold the most pixels in common; shifts add up from the middle outwards.
     let pairs = (middle..order.len().saturating_sub(1)).map(|k| (k, k + 1));
@@ -39,15 +47,16 @@ pub fn shifts(frames: &[Frame], response: &Response) -> Vec<[i32; 2]> {
 fn between(a: &Frame, b: &Frame, response: &Response) -> [i32; 2] {
     let log =
         |f: &Frame, c: &Code| (response.curves[1].exposure_of(c.0[1]) / f.exposure as f32).max(1e-9).ln();
-    let (la, lb) = (a.codes.map(|c| log(a, c)), b.codes.map(|c| log(b, c)));
-    let (w, h) = la.size();
+    let (w, h) = a.codes.size();
     let margin = REACH as usize + 1;
-    if w <= 2 * margin || h <= 2 * margin || lb.size() != (w, h) {
+    if w <= 2 * margin || h <= 2 * margin || b.codes.size() != (w, h) {
         return [0, 0];
     }
+    let (Ok(ca), Ok(cb)) = (a.codes.rows(0..h), b.codes.rows(0..h)) else { return [0, 0] };
+    let (la, lb) = (ca.map(|c| log(a, c)), cb.map(|c| log(b, c)));
     let mut edges: Vec<(f32, usize, usize)> = (margin..h - margin)
         .flat_map(|y| (margin..w - margin).map(move |x| (x, y)))
-        .filter(|&(x, y)| HELD.contains(&a.codes.at(x, y).0[1]) && HELD.contains(&b.codes.at(x, y).0[1]))
+        .filter(|&(x, y)| HELD.contains(&ca.at(x, y).0[1]) && HELD.contains(&cb.at(x, y).0[1]))
         .map(|(x, y)| {
             let slope = (la.at(x + 1, y) - la.at(x - 1, y)).abs() + (la.at(x, y + 1) - la.at(x, y - 1)).abs();
             (slope, x, y)

@@ -1,4 +1,5 @@
 use super::*;
+use crate::image::Code;
 use proptest::prelude::*;
 use rand::{Rng, SeedableRng, rngs::SmallRng};
 
@@ -89,8 +90,9 @@ fn a_wrong_exposure_shows_as_disagreement() {
     let disagreement = |said: f64| {
         let frames =
             [Frame { codes: &images[0], exposure: 0.25 }, Frame { codes: &images[1], exposure: said }];
-        let merged = merge(&frames, &response, 1.0, &config::Merge::default()).unwrap();
-        disagreement_stops(&frames, &merged, &response, 1.0).into_iter().fold(0.0, f64::max)
+        let settings = config::Merge { deghost: false, ..Default::default() };
+        let summary = merge_in_bands(&frames, &response, 1.0, &settings, |_| Ok::<_, Problem>(())).unwrap();
+        summary.frames.iter().map(|f| f.residual_stops).fold(0.0, f64::max)
     };
     assert!(
         disagreement(1.0) < 0.02 && disagreement(2.0) > 0.3,
@@ -119,6 +121,31 @@ fn what_cannot_be_merged_is_refused() {
     assert!(matches!(merge(&[frame(&a, 1.0)], 0.0), Err(Problem::Exposure { .. })));
 }
 
+/// What comes of four frames of 10 × 6 px as they are and in another order, told in the first one: radiance, who is left
+/// out where, the summary.
+fn in_two_orders(codes: &[[f32; 3]], exposures: [f64; 4], turn: usize) -> [(Merged, Vec<u64>, Summary); 2] {
+    let images: Vec<CodeImage> =
+        codes.chunks(60).map(|c| Image::from_pixels(10, 6, c.iter().map(|v| Code(*v)).collect())).collect();
+    let mut turned = [0, 1, 2, 3];
+    turned.rotate_left(turn);
+    turned.swap(0, 1);
+    [[0, 1, 2, 3], turned].map(|order| {
+        let frames = order.map(|i| Frame { codes: &images[i], exposure: exposures[i] });
+        let mut bands = Vec::new();
+        let take = |band| {
+            bands.push(band);
+            Ok::<_, Problem>(())
+        };
+        let mut summary =
+            merge_in_bands(&frames, &Response::srgb(), 1.0, &config::Merge::default(), take).unwrap();
+        let Band { merged, left_out, .. } = bands.remove(0);
+        let back = |bits: &u64| (0..4).filter(|k| bits & 1 << k != 0).fold(0, |b, k| b | 1 << order[k]);
+        let of = summary.frames.clone();
+        order.iter().zip(of).for_each(|(i, figures)| summary.frames[*i] = figures);
+        (merged, left_out.pixels().iter().map(back).collect(), summary)
+    })
+}
+
 proptest! {
     #[test]
     fn the_unit_is_the_plates_exposure(radiance in 0.01..10.0_f64, unit in 0.01..100.0_f64) {
@@ -138,5 +165,117 @@ proptest! {
         let merged = merge(&frames, &Response::srgb(), unit, &config::Merge::default()).unwrap();
         prop_assert!(merged.radiance.pixels()[0].0.iter().all(|v| v.is_finite() && *v >= 0.0));
         prop_assert!(merged.variance.pixels()[0].iter().all(|v| v.is_finite() && *v > 0.0));
+    }
+
+    #[test]
+    fn scaling_all_exposures_scales_radiance_by_the_inverse(codes in prop::collection::vec(0.0..=1.0_f32, 4), k in 0.01..100.0_f64) {
+        let images: Vec<CodeImage> = codes.iter().map(|c| Image::from_pixels(1, 1, vec![Code([*c; 3])])).collect();
+        let merged = |k: f64| {
+            let frames: Vec<_> = images.iter().zip(EXPOSURES).map(|(codes, e)| Frame { codes, exposure: e * k }).collect();
+            merge(&frames, &Response::srgb(), 1.0, &config::Merge::default()).unwrap()
+        };
+        let (one, other) = (merged(1.0), merged(k));
+        for c in 0..3 {
+            let (a, b) = (f64::from(one.radiance.pixels()[0].0[c]), k * f64::from(other.radiance.pixels()[0].0[c]));
+            prop_assert!((a - b).abs() <= 1e-4 * a.abs() + 1e-12, "{a} {b}");
+        }
+        prop_assert_eq!(one.clipped.pixels(), other.clipped.pixels());
+    }
+
+    #[test]
+    fn the_order_of_frames_does_not_matter(codes in prop::collection::vec(prop::array::uniform3(0.0..=1.0_f32), 4 * 60), turn in 1..4_usize) {
+        for exposures in [EXPOSURES, [1.0, 0.25, 1.0, 1.0]] {
+            let [one, other] = in_two_orders(&codes, exposures, turn);
+            prop_assert_eq!(one, other);
+        }
+    }
+
+    #[test]
+    fn one_frame_merges_to_its_linearisation(codes in prop::collection::vec(prop::array::uniform3(0.01..0.97_f32), 24)) {
+        let image = Image::from_pixels(6, 4, codes.iter().map(|c| Code(*c)).collect());
+        let response = Response::srgb();
+        let merged = linearise(&image, &response, &config::Merge::default()).unwrap();
+        for (merged, codes) in merged.radiance.pixels().iter().zip(&codes) {
+            let exposure = response.exposure_of(*codes);
+            for c in 0..3 {
+                prop_assert!((merged.0[c] / exposure[c] - 1.0).abs() < 1e-5, "{merged:?} {exposure:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn bands_and_files_make_no_difference(codes in prop::collection::vec(prop::array::uniform3(0_u8..=255), 3 * 16 * 12)) {
+        use crate::exposure::{Rows, Samples, Spooled, Stored};
+        let stored: Vec<Stored> = codes
+            .chunks(16 * 12)
+            .map(|c| Stored { width: 16, height: 12, samples: Samples::Eight(c.concat()) })
+            .collect();
+        let spooled: Vec<Spooled> = stored.iter().map(|s| Spooled::new(s).unwrap()).collect();
+        let frame = |codes, exposure| Frame { codes, exposure };
+        let held: Vec<_> = stored.iter().zip(EXPOSURES).map(|(s, e)| frame(s as &dyn Rows, e)).collect();
+        let aside: Vec<_> = spooled.iter().zip(EXPOSURES).map(|(s, e)| frame(s as &dyn Rows, e)).collect();
+        let of = |frames: &[Frame]| merge(frames, &Response::srgb(), 1.0, &config::Merge::default()).unwrap();
+        prop_assert_eq!(of(&held), of(&aside));
+    }
+}
+
+/// Light that rises slowly from left to right; a patch of the second frame shows something else.
+fn with_ghost(patch: std::ops::Range<usize>, light: f32) -> (Vec<CodeImage>, Image<f32>) {
+    let response = Response::srgb();
+    let truth = Image::from_fn(80, 60, |x, y| 0.03 + 0.0015 * x as f32 + 0.0005 * y as f32);
+    let images = EXPOSURES.iter().enumerate().map(|(i, e)| {
+        Image::from_fn(80, 60, |x, y| {
+            let ghost = i == 1 && patch.contains(&x) && patch.contains(&y);
+            let seen = if ghost { light } else { *truth.at(x, y) };
+            Code(response.code_of([seen * *e as f32; 3]).map(|c| (c * 255.0).round() / 255.0))
+        })
+    });
+    (images.collect(), truth)
+}
+
+#[test]
+fn what_moved_is_taken_from_the_other_frames_and_masked() {
+    // Brighter, darker, clipped in a short exposure.
+    for light in [0.6, 0.002, 40.0] {
+        let (images, truth) = with_ghost(20..36, light);
+        let frames: Vec<_> =
+            images.iter().zip(EXPOSURES).map(|(codes, exposure)| Frame { codes, exposure }).collect();
+        let (mut worst, mut inside, mut outside) = (0.0_f32, 0, 0);
+        let check = |band: Band| {
+            for y in 0..band.left_out.height() {
+                for x in 0..80 {
+                    let truth = truth.at(x, band.top + y);
+                    worst = worst.max((band.merged.radiance.at(x, y).0[1] / truth - 1.0).abs());
+                    let within = |i: usize| (20..36).contains(&i);
+                    let near = |i: usize| (17..39).contains(&i);
+                    let masked = *band.left_out.at(x, y) == 0b10;
+                    inside += usize::from(within(x) && within(band.top + y) && masked);
+                    outside += usize::from(!(near(x) && near(band.top + y)) && *band.left_out.at(x, y) != 0);
+                }
+            }
+            Ok::<_, Problem>(())
+        };
+        let summary =
+            merge_in_bands(&frames, &Response::srgb(), 1.0, &config::Merge::default(), check).unwrap();
+        assert!(worst < 0.06, "light {light}: {worst}");
+        assert_eq!((inside, outside), (256, 0), "light {light}");
+        assert!(summary.frames[1].left_out_share > 0.05 && summary.frames[2].left_out_share == 0.0);
+    }
+}
+
+#[test]
+fn a_frame_that_is_clipped_where_longer_ones_are_not_is_no_lower_bound() {
+    // As the painted border of a scan: one channel saturated, the others black, in the shorter frames.
+    let (mut images, truth) = with_ghost(0..0, 0.0);
+    for image in &mut images[..2] {
+        *image = Image::from_fn(80, 60, |x, y| if x < 12 { Code([0.0, 0.0, 1.0]) } else { *image.at(x, y) });
+    }
+    let frames: Vec<_> =
+        images.iter().zip(EXPOSURES).map(|(codes, exposure)| Frame { codes, exposure }).collect();
+    let merged = merge(&frames, &Response::srgb(), 1.0, &config::Merge::default()).unwrap();
+    for (x, y) in (0..60).flat_map(|y| (0..80).map(move |x| (x, y))) {
+        let (seen, truth) = (merged.radiance.at(x, y).0, truth.at(x, y));
+        assert!(seen.iter().all(|v| (v / truth - 1.0).abs() < 0.06), "{x} {y}: {seen:?} {truth}");
+        assert!(!merged.clipped.at(x, y));
     }
 }

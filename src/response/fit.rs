@@ -1,149 +1,123 @@
-//! The least-squares fit of Debevec and Malik (1997), eq. 3, channel by channel.
-//!
-//! Departures from the paper, and why: the ln radiances of the places are eliminated one by one (a Schur complement),
-//! so that the count of samples costs next to nothing; smoothness is asked of the departure from a typical curve, so
-//! that the ends, where there are few data, go on as cameras do and not as a straight line in ln exposure; falling
-//! stretches are penalised until none is left (Eilers, *Unimodal smoothing*, J. Chemometrics 2005); outliers are
-//! weighted down.
+//! From frames to a response: places are read, exposures checked against the pixels, a method chosen and fitted channel
+//! by channel, and its band found.
 
-use super::monotone::{self, LEAST_STEP};
-use super::samples::{Channel, Reading, median};
-use super::{Curve, LEVELS, Problem, Quality, Response, TOP, linear_from_srgb};
-use crate::config;
+use super::debevec_malik::{self, Solver};
+use super::exposures::{self, FoundExposure};
+use super::mitsunaga_nayar;
+use super::monotone;
+use super::observations::{Observation, Observations};
+use super::robertson;
+use super::samples::{Channel, Reading, Sampled, median};
+use super::{Curve, LEVELS, LN_2, Problem, Quality, Response, TOP};
+use crate::config::{self, ResponseMethod};
 use crate::exposure::Frame;
-use nalgebra::{DMatrix, DVector};
+use rand::{Rng, SeedableRng, rngs::SmallRng};
+use rayon::prelude::*;
 
 /// Fewer places than this determine nothing.
 const FEWEST: usize = 30;
 /// Largest standard error that is taken for an answer, stops, from the 10 % to the 90 % level.
 const WORST_STOPS: f64 = 0.5;
-const LN_2: f64 = std::f64::consts::LN_2;
+/// Parts of the places that are left out in turn to judge a method.
+const FOLDS: usize = 4;
+/// Resamplings of the places for the band.
+const RESAMPLINGS: usize = 20;
+/// Another method than the first must leave less than this share of its residual: above that it is chance.
+const CLEARLY: f64 = 0.9;
 
 /// Fits the response to frames of one view. Frames may come in any order; equal exposures count once more each.
 pub fn fit(frames: &[Frame], settings: &config::Response) -> Result<Response, Problem> {
+    let sampled = frames.par_iter().map(Sampled::new).collect::<Result<Vec<_>, _>>();
+    fit_sampled(&sampled.map_err(|e| Problem::Read { why: e.to_string() })?, settings)
+}
+
+/// The same for frames that have been read already.
+pub fn fit_sampled(frames: &[Sampled], settings: &config::Response) -> Result<Response, Problem> {
     let mut order: Vec<usize> = (0..frames.len()).collect();
     for (i, frame) in frames.iter().enumerate() {
-        let (size, first) = (frame.codes.size(), frames[0].codes.size());
-        if size != first {
-            return Err(Problem::Sizes { frame: i + 1, size, first });
+        if frame.size != frames[0].size {
+            return Err(Problem::Sizes { frame: i + 1, size: frame.size, first: frames[0].size });
         }
         if !(frame.exposure.is_finite() && frame.exposure > 0.0) {
             return Err(Problem::Exposure { frame: i + 1, exposure: frame.exposure });
         }
     }
     order.sort_by(|a, b| frames[*a].exposure.total_cmp(&frames[*b].exposure));
-    let sorted: Vec<Frame> = order.iter().map(|i| frames[*i]).collect();
+    let sorted: Vec<&Sampled> = order.iter().map(|i| &frames[*i]).collect();
     let distinct = sorted.windows(2).filter(|w| w[1].exposure > 1.01 * w[0].exposure).count() + 1;
     if distinct < 2 || sorted.is_empty() {
         return Err(Problem::OneExposure { frames: frames.len(), distinct: distinct.min(frames.len()) });
     }
-    let fits = [0, 1, 2].map(|c| ChannelFit::new(&sorted, c, settings));
-    let [red, green, blue] = fits;
-    let fits = [red?, green?, blue?];
-    let mut frame_stops = vec![0.0; frames.len()];
-    order.iter().zip(&fits[1].frame_stops).for_each(|(i, stops)| frame_stops[*i] = *stops);
-    let quality = Quality {
-        samples: [0, 1, 2].map(|c: usize| fits[c].samples),
-        rms_stops: [0, 1, 2].map(|c: usize| fits[c].rms_stops),
-        frame_stops,
-        condition: fits.iter().map(|f| f.condition).fold(0.0, f64::max),
+    let channels = [0, 1, 2].map(|c| Channel::new(&sorted, c));
+    let stated: Vec<f64> = sorted.iter().map(|f| f.exposure).collect();
+    let seen = observe(&channels, &stated, settings)?;
+    let found = if settings.exposures_from_pixels {
+        exposures::find(&channels, &seen, &stated, settings.smoothness)
+    } else {
+        stated.iter().map(|e| FoundExposure::stated(*e)).collect()
     };
-    Ok(Response { curves: fits.map(|f| f.curve), assumed: false, quality: Some(quality) })
-}
+    let used: Vec<f64> = found.iter().map(|f| f.used).collect();
+    let seen = if used == stated { seen } else { observe(&channels, &used, settings)? };
 
-struct ChannelFit {
-    curve: Curve,
-    samples: usize,
-    rms_stops: f64,
-    frame_stops: Vec<f64>,
-    condition: f64,
-}
-
-/// One place in one frame.
-struct Observation {
-    place: usize,
-    frame: usize,
-    /// Level below, and share of the level above.
-    level: usize,
-    share: f64,
-    ln_exposure: f64,
-    weight: f64,
-    /// Robust factor.
-    trust: f64,
-}
-
-impl Observation {
-    fn g(&self, g: &[f64]) -> f64 {
-        g[self.level] * (1.0 - self.share) + g[self.level + 1] * self.share
+    let bases = (0..3).into_par_iter().map(|c| Base::new(c, &channels[c], &seen[c], settings));
+    let bases = bases.collect::<Vec<_>>().into_iter().collect::<Result<Vec<_>, _>>()?;
+    let (method, held_out_stops) = choose(&bases, settings);
+    let fits: Vec<ChannelFit> =
+        bases.par_iter().map(|base| ChannelFit::new(base, method, settings)).collect();
+    let mut exposures = vec![FoundExposure::stated(1.0); frames.len()];
+    let mut frame_stops = vec![0.0; frames.len()];
+    for (place, i) in order.iter().enumerate() {
+        exposures[*i] = found[place].clone();
+        frame_stops[*i] = fits[1].frame_stops[place];
     }
+    let quality = Quality {
+        samples: [0, 1, 2].map(|c: usize| seen[c].places),
+        rms_stops: [0, 1, 2].map(|c: usize| fits[c].rms_stops),
+        held_out_stops,
+        frame_stops,
+        condition: bases.iter().map(|b| b.condition).fold(0.0, f64::max),
+    };
+    let mut curves = fits.into_iter().map(|f| f.curve);
+    let curves = [curves.next(), curves.next(), curves.next()].map(Option::unwrap_or_default);
+    Ok(Response { curves, assumed: false, method: Some(method), quality: Some(quality), exposures })
 }
 
-impl ChannelFit {
-    fn new(frames: &[Frame], channel: usize, settings: &config::Response) -> Result<Self, Problem> {
-        let exposures: Vec<f64> = frames.iter().map(|f| f.exposure).collect();
-        let readings = Channel::read(frames, channel);
-        let chosen = readings.choose(&exposures, settings.samples.max(FEWEST));
+/// Rms residual of given curves (relative exposure at each level, per channel) at the places that [`fit`] would choose,
+/// stops.
+pub fn residual_stops(
+    frames: &[Frame],
+    curves: &[Vec<f64>; 3],
+    settings: &config::Response,
+) -> Result<[f64; 3], Problem> {
+    let sampled = frames.par_iter().map(Sampled::new).collect::<Result<Vec<_>, _>>();
+    let mut sampled = sampled.map_err(|e| Problem::Read { why: e.to_string() })?;
+    sampled.sort_by(|a, b| a.exposure.total_cmp(&b.exposure));
+    let sorted: Vec<&Sampled> = sampled.iter().collect();
+    let channels = [0, 1, 2].map(|c| Channel::new(&sorted, c));
+    let exposures: Vec<f64> = sorted.iter().map(|f| f.exposure).collect();
+    let seen = observe(&channels, &exposures, settings)?;
+    Ok([0, 1, 2].map(|c: usize| {
+        let g: Vec<f64> = curves[c].iter().map(|e| e.max(1e-12).ln()).collect();
+        seen[c].rms_stops(&g)
+    }))
+}
+
+/// Chooses places in each channel and takes down what they show.
+fn observe(
+    channels: &[Channel; 3],
+    exposures: &[f64],
+    settings: &config::Response,
+) -> Result<[Observations; 3], Problem> {
+    let of = |channel: usize| {
+        let readings = &channels[channel];
+        let chosen = readings.choose(exposures, settings.samples.max(FEWEST), settings.seed);
         if chosen.len() < FEWEST {
-            return Err(too_few(&readings, channel, chosen.len()));
+            return Err(too_few(readings, channel, chosen.len()));
         }
-        let mut observations = observe(&readings, &chosen, &exposures);
-        let typical = typical_curve(&readings);
-        let solver = Solver {
-            typical: &typical,
-            pinned: readings.clip as usize,
-            smoothness: settings.smoothness,
-            floor: readings.floor,
-        };
-        let (mut g, mut solution) = solver.solve(&observations, &typical);
-        for _ in 0..ROUNDS {
-            distrust_outliers(&mut observations, &g, chosen.len());
-            (g, solution) = solver.solve(&observations, &g);
-        }
-        let residuals = residuals(&observations, &g, chosen.len());
-        let total: f64 = observations.iter().map(|o| o.weight * o.trust).sum();
-        let square: f64 = observations.iter().zip(&residuals).map(|(o, r)| o.weight * o.trust * r * r).sum();
-        let freedom = (observations.len() as f64 - chosen.len() as f64).max(1.0) / observations.len() as f64;
-        let variance = square / total / freedom;
-        let standard_error =
-            solution.standard_errors(variance, total / observations.len() as f64, solver.pinned);
-        monotone::project(&mut g, &standard_error.iter().map(|s| 1.0 / (s * s + 1e-8)).collect::<Vec<_>>());
-        let zero = g[solver.pinned];
-        let curve = Curve {
-            exposure: g.iter().map(|g| (g - zero).exp()).collect(),
-            standard_error,
-            floor: (readings.floor / TOP) as f32,
-            clip: (readings.clip / TOP) as f32,
-        };
-        let fit = Self {
-            curve,
-            samples: chosen.len(),
-            rms_stops: plain_rms(&observations, &residuals) / LN_2,
-            frame_stops: frame_medians(&observations, &residuals, frames.len()),
-            condition: solution.condition,
-        };
-        fit.determined(channel, &readings)?;
-        Ok(fit)
-    }
-
-    fn determined(&self, channel: usize, readings: &Channel) -> Result<(), Problem> {
-        let span = readings.clip - readings.lowest;
-        let (low, high) = (readings.lowest + 0.1 * span, readings.lowest + 0.9 * span);
-        let worst = (low as usize..high as usize).map(|k| (self.curve.standard_error[k] / LN_2, k));
-        match worst.max_by(|a, b| a.0.total_cmp(&b.0)) {
-            Some((stops, level)) if stops.is_nan() || stops > WORST_STOPS => Err(Problem::Undetermined {
-                channel,
-                level,
-                stops,
-                limit: WORST_STOPS,
-                condition: self.condition,
-            }),
-            _ => Ok(()),
-        }
-    }
+        Ok(Observations::new(readings, &chosen, exposures))
+    };
+    Ok([of(0)?, of(1)?, of(2)?])
 }
-
-/// Rounds of weighting outliers down.
-const ROUNDS: usize = 4;
 
 fn too_few(readings: &Channel, channel: usize, usable: usize) -> Problem {
     let all: Vec<&Reading> = readings.places.iter().flatten().collect();
@@ -160,201 +134,146 @@ fn too_few(readings: &Channel, channel: usize, usable: usize) -> Problem {
     }
 }
 
-fn observe(readings: &Channel, chosen: &[usize], exposures: &[f64]) -> Vec<Observation> {
-    let mut observations = Vec::new();
-    for (place, index) in chosen.iter().enumerate() {
-        for (frame, reading) in readings.places[*index].iter().enumerate() {
-            if readings.is_good(reading) {
-                let level = (reading.mean as usize).min(LEVELS - 2);
-                let hat = weight(readings, reading.mean);
-                observations.push(Observation {
-                    place,
-                    frame,
-                    level,
-                    share: reading.mean - level as f64,
-                    ln_exposure: exposures[frame].ln(),
-                    weight: hat * hat,
-                    trust: 1.0,
-                });
-            }
-        }
-    }
-    observations
-}
-
-/// Half a hat: rises from the black level to the middle as in the paper, since noise in ln exposure falls that way;
-/// then stays up, since the bright end fixes the scale, and clipped places have been left out already.
-fn weight(readings: &Channel, level: f64) -> f64 {
-    let rising = (level - readings.floor) / (0.5 * (readings.clip - readings.floor));
-    rising.min(1.0) * ((readings.clip + 2.0 - level) / 12.0).clamp(0.0, 1.0)
-}
-
-/// ln exposure of the sRGB curve between black level and saturation, going on as steeply below.
-fn typical_curve(readings: &Channel) -> Vec<f64> {
-    let ln = |z: f64| linear_from_srgb((z - readings.floor) / (readings.clip - readings.floor)).ln();
-    let start = readings.floor + 1.0;
-    let below = |z: f64| ln(start) - (start - z) * LN_2;
-    (0..LEVELS).map(|z| z as f64).map(|z| if z < start { below(z) } else { ln(z) }).collect()
-}
-
-struct Solver<'a> {
-    typical: &'a [f64],
-    /// Level whose ln exposure is 0.
-    pinned: usize,
-    smoothness: f64,
-    /// Black level.
-    floor: f64,
-}
-
-struct Solution {
-    /// Inverse of the normal equations, data scaled to a mean weight of 1 a level.
-    inverse: DMatrix<f64>,
+/// A channel with its outliers known: least squares, whatever the method, tell them, and how well levels are determined.
+struct Base<'a> {
+    readings: &'a Channel,
+    solver: Solver,
+    observations: Observations,
+    least_squares: Vec<f64>,
+    formal: Vec<f64>,
     condition: f64,
-    scale: f64,
 }
 
-impl Solution {
-    fn standard_errors(&self, variance: f64, mean_weight: f64, pinned: usize) -> Vec<f64> {
-        // `variance` is that of an observation of weight 1 in units where the mean weight is 1.
-        let factor = variance * mean_weight * self.scale;
-        (0..LEVELS)
-            .map(|k| if k == pinned { 0.0 } else { (self.inverse[(k, k)].max(0.0) * factor).sqrt() })
-            .collect()
+impl<'a> Base<'a> {
+    fn new(
+        channel: usize,
+        readings: &'a Channel,
+        seen: &Observations,
+        settings: &config::Response,
+    ) -> Result<Self, Problem> {
+        let mut observations = seen.clone();
+        let solver = Solver::new(readings, settings.smoothness);
+        let solution = debevec_malik::fit(&solver, &mut observations);
+        let condition = solution.condition();
+        let formal = solution.standard_errors();
+        determined(channel, readings, &formal, condition)?;
+        Ok(Self { readings, solver, observations, least_squares: solution.g, formal, condition })
+    }
+
+    /// ln exposure by a method from some of the observations, made to rise.
+    fn curve(&self, method: ResponseMethod, observations: &Observations) -> Vec<f64> {
+        let mut g = match method {
+            ResponseMethod::Auto | ResponseMethod::DebevecMalik => self.solver.solve(observations, None).g,
+            ResponseMethod::MitsunagaNayar => {
+                let polynomial = mitsunaga_nayar::fit(self.readings, observations);
+                polynomial.unwrap_or_else(|| self.least_squares.clone())
+            }
+            ResponseMethod::Robertson => robertson::fit(&self.solver.typical, observations),
+        };
+        monotone::project(&mut g, &level_weights(observations));
+        g
+    }
+
+    /// Residuals on places of parts of the image that were left out of the fit in turn: rms, stops, and the typical one in
+    /// levels, in which a curve gains nothing by being flat where noise is strong.
+    fn held_out(&self, method: ResponseMethod) -> [f64; 2] {
+        let folds = (0..FOLDS).into_par_iter().map(|fold| {
+            let kept = self.observations.only(|p| p % FOLDS != fold);
+            let left_out = self.observations.only(|p| p % FOLDS == fold);
+            let g = self.curve(method, &kept);
+            let slope = |o: &Observation| (g[o.level + 1] - g[o.level]).max(monotone::LEAST_STEP);
+            let sizes = left_out.list.iter().zip(left_out.residuals(&g)).map(|(o, r)| r.abs() / slope(o));
+            let typical = 1.4826 * median(sizes).unwrap_or(0.0);
+            [left_out.rms_stops(&g).powi(2) / FOLDS as f64, typical.powi(2) / FOLDS as f64]
+        });
+        folds.reduce(|| [0.0; 2], |a, b| [a[0] + b[0], a[1] + b[1]]).map(f64::sqrt)
     }
 }
 
-impl Solver<'_> {
-    /// Minimises over all levels; `start` tells where the curve falls.
-    fn solve(&self, observations: &[Observation], start: &[f64]) -> (Vec<f64>, Solution) {
-        let total: f64 = observations.iter().map(|o| o.weight * o.trust).sum();
-        let scale = LEVELS as f64 / total.max(1e-12);
-        let (mut normal, mut right) = self.data_terms(observations, scale);
-        self.add_smoothness(&mut normal);
-        normal[(self.pinned, self.pinned)] += 1e9;
-        let (fixed, fixed_right) = (normal.clone(), right.clone());
-        let mut g = start.to_vec();
-        let mut falling = Vec::new();
-        loop {
-            let inverse = match normal.clone().cholesky() {
-                Some(factor) => factor.inverse(),
-                None => DMatrix::from_element(LEVELS, LEVELS, f64::NAN),
-            };
-            let departure = &inverse * &right;
-            g.iter_mut().enumerate().for_each(|(k, g)| *g = self.typical[k] + departure[k]);
-            let before = falling.len();
-            let falls = |k: &usize| g[k + 1] - g[*k] < LEAST_STEP && !falling.contains(k);
-            let more: Vec<usize> = (0..LEVELS - 1).filter(falls).collect();
-            falling.extend(more);
-            if falling.len() == before || inverse[(0, 0)].is_nan() {
-                let eigen = fixed.symmetric_eigenvalues();
-                let mut values: Vec<f64> = eigen.iter().copied().collect();
-                values.sort_by(f64::total_cmp);
-                // The largest is the pin's.
-                let condition = values[LEVELS - 2] / values[0].max(1e-300);
-                return (g, Solution { inverse, condition, scale });
-            }
-            (normal, right) = (fixed.clone(), fixed_right.clone());
-            falling.iter().for_each(|k| self.push_up(&mut normal, &mut right, *k));
+/// How much is seen of each level.
+fn level_weights(observations: &Observations) -> Vec<f64> {
+    let mut weights = vec![1e-6; LEVELS];
+    for o in &observations.list {
+        weights[o.level] += o.weight * o.trust * (1.0 - o.share);
+        weights[o.level + 1] += o.weight * o.trust * o.share;
+    }
+    weights
+}
+
+/// The method that leaves the least typical residual, over all channels, on places that it was not fitted to; and the rms
+/// of that residual.
+fn choose(bases: &[Base], settings: &config::Response) -> (ResponseMethod, [f64; 3]) {
+    let methods = match settings.method {
+        ResponseMethod::Auto => ResponseMethod::ALL.to_vec(),
+        one => vec![one],
+    };
+    let left = methods.iter().map(|m| (*m, bases.iter().map(|b| b.held_out(*m)).collect::<Vec<_>>()));
+    let left: Vec<(ResponseMethod, Vec<[f64; 2]>)> = left.collect();
+    let size = |stops: &[[f64; 2]]| stops.iter().map(|s| s[1] * s[1]).sum::<f64>().sqrt();
+    let mut best = &left[0];
+    for other in &left[1..] {
+        if size(&other.1) < CLEARLY * size(&best.1) {
+            best = other;
         }
     }
+    (best.0, [0, 1, 2].map(|c: usize| best.1[c][0]))
+}
 
-    /// Normal equations of the departures from the typical curve, ln radiances eliminated.
-    fn data_terms(&self, observations: &[Observation], scale: f64) -> (DMatrix<f64>, DVector<f64>) {
-        let mut normal = DMatrix::zeros(LEVELS, LEVELS);
-        let mut right = DVector::zeros(LEVELS);
-        for place in observations.chunk_by(|a, b| a.place == b.place) {
-            // Rows of the place, the mean row taken off each.
-            let sum: f64 = place.iter().map(|o| o.weight * o.trust).sum();
-            let mut mean_row: Vec<(usize, f64)> = Vec::new();
-            let mut mean_value = 0.0;
-            for o in place {
-                let share = o.weight * o.trust / sum.max(1e-300);
-                mean_row.extend([(o.level, share * (1.0 - o.share)), (o.level + 1, share * o.share)]);
-                mean_value += share * (o.ln_exposure - o.g(self.typical));
-            }
-            for o in place {
-                let row = [(o.level, 1.0 - o.share), (o.level + 1, o.share)];
-                let value = o.ln_exposure - o.g(self.typical);
-                add_product(&mut normal, &mut right, &row, value, scale * o.weight * o.trust);
-            }
-            add_product(&mut normal, &mut right, &mean_row, mean_value, -scale * sum);
+struct ChannelFit {
+    curve: Curve,
+    rms_stops: f64,
+    frame_stops: Vec<f64>,
+}
+
+impl ChannelFit {
+    fn new(base: &Base, method: ResponseMethod, settings: &config::Response) -> Self {
+        let Base { readings, observations, formal, .. } = base;
+        let pinned = readings.clip as usize;
+        let g = from_saturation(base.curve(method, observations), pinned);
+        let band = resampled(base, method, settings, pinned);
+        let curve = Curve {
+            exposure: g.iter().map(|g| g.exp()).collect(),
+            standard_error: formal.iter().zip(&band).take(LEVELS).map(|(a, b)| a.max(*b)).collect(),
+            floor: (readings.floor / TOP) as f32,
+            clip: (readings.clip / TOP) as f32,
+        };
+        Self { curve, rms_stops: observations.rms_stops(&g), frame_stops: observations.frame_stops(&g) }
+    }
+}
+
+/// ln exposure against that of saturation.
+fn from_saturation(mut g: Vec<f64>, pinned: usize) -> Vec<f64> {
+    let zero = g[pinned];
+    g.iter_mut().for_each(|g| *g -= zero);
+    g
+}
+
+/// Standard deviation of ln exposure at all levels, over fits to places drawn with replacement (Efron 1979).
+fn resampled(base: &Base, method: ResponseMethod, settings: &config::Response, pinned: usize) -> Vec<f64> {
+    let places = base.observations.places;
+    let draw = |seed: u64| {
+        let mut random = SmallRng::seed_from_u64(settings.seed.wrapping_mul(1000).wrapping_add(seed));
+        let mut times = vec![0; places];
+        (0..places).for_each(|_| times[random.random_range(0..places)] += 1);
+        from_saturation(base.curve(method, &base.observations.repeated(&times)), pinned)
+    };
+    let curves: Vec<Vec<f64>> = (0..RESAMPLINGS as u64).into_par_iter().map(draw).collect();
+    let deviation = |k: usize| {
+        let mean = curves.iter().map(|c| c[k]).sum::<f64>() / RESAMPLINGS as f64;
+        let square: f64 = curves.iter().map(|c| (c[k] - mean).powi(2)).sum();
+        (square / (RESAMPLINGS - 1) as f64).sqrt()
+    };
+    (0..LEVELS).map(deviation).collect()
+}
+
+fn determined(channel: usize, readings: &Channel, errors: &[f64], condition: f64) -> Result<(), Problem> {
+    let span = readings.clip - readings.lowest;
+    let (low, high) = (readings.lowest + 0.1 * span, readings.lowest + 0.9 * span);
+    let worst = (low as usize..high as usize).map(|k| (errors[k] / LN_2, k));
+    match worst.max_by(|a, b| a.0.total_cmp(&b.0)) {
+        Some((stops, level)) if stops.is_nan() || stops > WORST_STOPS => {
+            Err(Problem::Undetermined { channel, level, stops, limit: WORST_STOPS, condition })
         }
-        (normal, right)
+        _ => Ok(()),
     }
-
-    fn add_smoothness(&self, normal: &mut DMatrix<f64>) {
-        let half = 0.5 * (self.pinned as f64 - self.floor);
-        for k in 1..LEVELS - 1 {
-            // Curves bend faster in the dark, where the scale of change is the level itself.
-            let stiffness = ((k as f64 + 1.0 - self.floor) / half).clamp(1.0 / half, 1.0).powi(3);
-            let row = [(k - 1, 1.0), (k, -2.0), (k + 1, 1.0)];
-            for (i, a) in row {
-                for (j, b) in row {
-                    normal[(i, j)] += self.smoothness * stiffness * a * b;
-                }
-            }
-        }
-    }
-
-    /// Asks the step above level `k` to be at least the least one.
-    fn push_up(&self, normal: &mut DMatrix<f64>, right: &mut DVector<f64>, k: usize) {
-        let value = 2.0 * LEAST_STEP - (self.typical[k + 1] - self.typical[k]);
-        add_product(normal, right, &[(k, -1.0), (k + 1, 1.0)], value, 1e6);
-    }
-}
-
-fn add_product(
-    normal: &mut DMatrix<f64>,
-    right: &mut DVector<f64>,
-    row: &[(usize, f64)],
-    value: f64,
-    weight: f64,
-) {
-    for (i, a) in row {
-        for (j, b) in row {
-            normal[(*i, *j)] += weight * a * b;
-        }
-        right[*i] += weight * a * value;
-    }
-}
-
-/// g(Z) − ln E − ln t at the best ln E of each place.
-fn residuals(observations: &[Observation], g: &[f64], places: usize) -> Vec<f64> {
-    let mut sums = vec![(0.0, 0.0); places];
-    for o in observations {
-        let weight = o.weight * o.trust;
-        sums[o.place].0 += weight * (o.g(g) - o.ln_exposure);
-        sums[o.place].1 += weight;
-    }
-    observations
-        .iter()
-        .map(|o| o.g(g) - o.ln_exposure - sums[o.place].0 / sums[o.place].1.max(1e-300))
-        .collect()
-}
-
-/// Tukey-like weights: an observation three times further off than usual counts half.
-fn distrust_outliers(observations: &mut [Observation], g: &[f64], places: usize) {
-    let residuals = residuals(observations, g, places);
-    let sizes = observations.iter().zip(&residuals).map(|(o, r)| r.abs() * o.weight.sqrt());
-    let usual = 1.4826 * median(sizes.filter(|s| *s > 0.0)).unwrap_or(0.0);
-    for (o, r) in observations.iter_mut().zip(residuals) {
-        let size = r.abs() * o.weight.sqrt() / (3.0 * usual.max(1e-6));
-        o.trust = 1.0 / (1.0 + size.powi(2));
-    }
-}
-
-/// Residuals as they are, without the robust factor: a frame that is off must show.
-fn plain_rms(observations: &[Observation], residuals: &[f64]) -> f64 {
-    let (sum, weight) = observations
-        .iter()
-        .zip(residuals)
-        .fold((0.0, 0.0), |(s, w), (o, r)| (s + o.weight * r * r, w + o.weight));
-    (sum / weight.max(1e-300)).sqrt()
-}
-
-/// Median residual of each frame, stops; 0 for a frame that has hardly any observation.
-fn frame_medians(observations: &[Observation], residuals: &[f64], frames: usize) -> Vec<f64> {
-    let of =
-        |frame| observations.iter().zip(residuals).filter(move |(o, _)| o.frame == frame).map(|(_, r)| *r);
-    (0..frames).map(|f| if of(f).count() < 10 { 0.0 } else { median(of(f)).unwrap_or(0.0) / LN_2 }).collect()
 }

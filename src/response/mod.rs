@@ -1,31 +1,42 @@
 //! Camera response: which exposure makes which code value.
 //!
-//! Fitted to brackets by least squares (Debevec and Malik, *Recovering High Dynamic Range Radiance Maps from
-//! Photographs*, SIGGRAPH 1997). Exposure is relative, in each channel 1 where that channel saturates: brackets say
+//! Fitted to brackets by one of three methods ([`crate::config::ResponseMethod`]), usually least squares (Debevec and
+//! Malik, *Recovering High Dynamic Range Radiance Maps from Photographs*, SIGGRAPH 1997), at places spread over image and
+//! range ([`samples`]), after the frames' exposures have been checked against their pixels ([`exposures`]). Exposure is relative, in each channel 1 where that channel saturates: brackets say
 //! nothing of the channels' ratio, and all channels of a linear sensor saturate at one exposure.
 
+mod debevec_malik;
+mod exposures;
 mod fit;
+mod mitsunaga_nayar;
 mod monotone;
+mod observations;
 mod problem;
+mod robertson;
 mod samples;
 
-pub use fit::fit;
+pub use exposures::{FoundExposure, by_curve};
+pub use fit::{fit, fit_sampled, residual_stops};
 pub use problem::Problem;
+pub use samples::Sampled;
 
 use crate::artefact::json::JsonArtefact;
+use crate::config::ResponseMethod;
 use serde::{Deserialize, Serialize};
 
 /// Levels at which a curve is known: all codes of 8 bits. Deeper codes lie between.
 pub const LEVELS: usize = 256;
 /// The largest level, code 1.
 const TOP: f64 = (LEVELS - 1) as f64;
+const LN_2: f64 = std::f64::consts::LN_2;
 
 /// Response of one channel.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Curve {
     /// Relative exposure at each level, strictly rising; 1 at `clip`.
     pub exposure: Vec<f64>,
-    /// Standard error of ln exposure at each level, against that of saturation.
+    /// Standard error of ln exposure at each level, against that of saturation: the larger of what least squares say and
+    /// of the spread over fits to resampled places. Its 95 % band is 1.96 times that to either side.
     pub standard_error: Vec<f64>,
     /// Code at and below which the channel shows its black level and no light.
     pub floor: f32,
@@ -40,8 +51,12 @@ pub struct Response {
     pub curves: [Curve; 3],
     /// Not fitted but taken for granted, since there was nothing to fit to.
     pub assumed: bool,
+    /// How it was fitted; none where it was not.
+    pub method: Option<ResponseMethod>,
     /// How well the fit holds.
     pub quality: Option<Quality>,
+    /// Exposures of the frames that it was fitted to.
+    pub exposures: Vec<FoundExposure>,
 }
 
 /// How well a fit holds.
@@ -51,6 +66,8 @@ pub struct Quality {
     pub samples: [usize; 3],
     /// Weighted rms of ln E + ln t − g(Z), stops, per channel.
     pub rms_stops: [f64; 3],
+    /// The same on places that were left out of the fit in turn, with the method chosen.
+    pub held_out_stops: [f64; 3],
     /// Median of the same over each frame, stops, green channel; a wrong exposure time shows here.
     pub frame_stops: Vec<f64>,
     /// Condition number of the normal equations, the worst channel.
@@ -59,7 +76,7 @@ pub struct Quality {
 
 impl JsonArtefact for Response {
     const FORMAT: &'static str = "insitu-response";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
 
     fn check(&self) -> Result<(), String> {
         Self::check(self).map_err(|e| e.to_string())
@@ -100,7 +117,7 @@ impl Curve {
     /// Standard error of the exposure at a code, stops.
     pub fn standard_error_stops(&self, code: f32) -> f64 {
         let level = (f64::from(code).clamp(0.0, 1.0) * TOP).round() as usize;
-        self.standard_error.get(level).copied().unwrap_or(0.0) / std::f64::consts::LN_2
+        self.standard_error.get(level).copied().unwrap_or(0.0) / LN_2
     }
 
     /// d exposure / d code at a code.
@@ -115,7 +132,8 @@ impl Response {
     /// The inverse of the sRGB curve (IEC 61966-2-1) in every channel.
     pub fn srgb() -> Self {
         let curve = Curve::assumed(linear_from_srgb);
-        Self { curves: [curve.clone(), curve.clone(), curve], assumed: true, quality: None }
+        let curves = [curve.clone(), curve.clone(), curve];
+        Self { curves, assumed: true, method: None, quality: None, exposures: Vec::new() }
     }
 
     /// Relative exposures of a pixel's codes; 1 where a channel saturates.

@@ -31,6 +31,12 @@ pub enum Problem {
         /// Its exposure.
         exposure: f64,
     },
+    /// What was put aside on the disk cannot be read again.
+    #[error("reading the codes of a frame: {why}")]
+    Read {
+        /// What the system says.
+        why: String,
+    },
     /// Hardly any place is well exposed twice.
     #[error(
         "channel {}: {usable} of {places} places are well exposed in two frames, at least {needed} are needed \
@@ -87,6 +93,7 @@ impl crate::error::Problem for Problem {
             }
             Self::Sizes { .. } => "use photographs of one size, neither cropped nor scaled",
             Self::Exposure { .. } => "state the exposure time in [[ingest.exposure]]",
+            Self::Read { .. } => "free some space in the folder for temporary files (TMPDIR), then run again",
             Self::TooFew { clipped, dark, .. } if clipped > dark => "add shorter exposures",
             Self::TooFew { .. } => "add longer exposures",
             Self::Undetermined { .. } => "add exposures in between, one or two stops apart",

@@ -2,6 +2,8 @@
 
 use super::{LEVELS, TOP, linear_from_srgb};
 use crate::exposure::Frame;
+use crate::image::CodeImage;
+use rand::{SeedableRng, rngs::SmallRng, seq::SliceRandom};
 
 /// Side of a place, px. Its mean is sampled: that lessens noise, JPEG artefacts and a shift of the tripod.
 const SIDE: usize = 5;
@@ -18,8 +20,54 @@ const TILES: usize = 8;
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Reading {
     pub mean: f64,
+    /// The least and the largest of its pixels.
     pub low: f64,
     pub high: f64,
+}
+
+/// What a fit takes from a frame: readings at a grid of places, and how often each level occurs.
+#[derive(Debug, Clone)]
+pub struct Sampled {
+    pub(super) size: (usize, usize),
+    /// [`crate::exposure::Exposure::scale`].
+    pub exposure: f64,
+    /// By channel, then place.
+    pub(super) readings: [Vec<Reading>; 3],
+    tiles: Vec<usize>,
+    counts: [Vec<usize>; 3],
+}
+
+impl Sampled {
+    /// Reads a frame, a band of rows at a time.
+    pub fn new(frame: &Frame) -> std::io::Result<Self> {
+        let (width, height) = frame.codes.size();
+        let stride = ((width * height / MOST_PLACES) as f64).sqrt().ceil().max(SIDE as f64) as usize;
+        let mut sampled = Self {
+            size: (width, height),
+            exposure: frame.exposure,
+            readings: Default::default(),
+            tiles: Vec::new(),
+            counts: [0; 3].map(|_| vec![0; LEVELS]),
+        };
+        for y in (0..height).step_by(stride) {
+            let band = frame.codes.rows(y..(y + stride).min(height))?;
+            for pixel in band.pixels() {
+                for (counts, code) in sampled.counts.iter_mut().zip(pixel.0) {
+                    counts[((code * TOP as f32 + 0.5) as usize).min(LEVELS - 1)] += 1;
+                }
+            }
+            if band.height() < SIDE {
+                break;
+            }
+            for x in (0..(width + 1).saturating_sub(SIDE)).step_by(stride) {
+                for (channel, readings) in sampled.readings.iter_mut().enumerate() {
+                    readings.push(reading(&band, channel, x));
+                }
+                sampled.tiles.push(y * TILES / height * TILES + x * TILES / width);
+            }
+        }
+        Ok(sampled)
+    }
 }
 
 /// What one channel shows at all places, and between which levels it can be trusted.
@@ -36,19 +84,14 @@ pub(super) struct Channel {
 }
 
 impl Channel {
-    /// Reads a channel at a grid of places, frames in order of rising exposure.
-    pub fn read(frames: &[Frame], channel: usize) -> Self {
-        let (width, height) = frames[0].codes.size();
-        let stride = ((width * height / MOST_PLACES) as f64).sqrt().ceil().max(SIDE as f64) as usize;
-        let (mut places, mut tiles) = (Vec::new(), Vec::new());
-        for y in (0..(height + 1).saturating_sub(SIDE)).step_by(stride) {
-            for x in (0..(width + 1).saturating_sub(SIDE)).step_by(stride) {
-                places.push(frames.iter().map(|frame| reading(frame, channel, x, y)).collect::<Vec<_>>());
-                tiles.push(y * TILES / height * TILES + x * TILES / width);
-            }
-        }
+    /// A channel of frames of one size, in order of rising exposure.
+    pub fn new(frames: &[&Sampled], channel: usize) -> Self {
+        let tiles = frames[0].tiles.clone();
+        let of = |place: usize| frames.iter().map(|f| f.readings[channel][place]).collect();
+        let places: Vec<Vec<Reading>> = (0..tiles.len()).map(of).collect();
+        let exposures: Vec<f64> = frames.iter().map(|f| f.exposure).collect();
         let clip = saturation(frames, channel);
-        let (floor, noise) = black_level(&places, frames);
+        let (floor, noise) = black_level(&places, &exposures);
         Self { places, tiles, floor, lowest: floor + (4.0 * noise).max(5.0), clip }
     }
 
@@ -62,8 +105,8 @@ impl Channel {
         reading.high >= self.clip - 0.5
     }
 
-    /// Chooses places: from each bin of radiance and each tile of the image the flattest first.
-    pub fn choose(&self, exposures: &[f64], count: usize) -> Vec<usize> {
+    /// Chooses places: from each bin of radiance and each tile of the image in turn, among the flatter half.
+    pub fn choose(&self, exposures: &[f64], count: usize, seed: u64) -> Vec<usize> {
         let candidates: Vec<(usize, f64, f64)> = self
             .places
             .iter()
@@ -79,11 +122,14 @@ impl Channel {
             binned[((share * BINS as f64) as usize).min(BINS - 1)].push((unevenness, i));
         }
         let by_unevenness = |a: &(f64, usize), b: &(f64, usize)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
+        let mut random = SmallRng::seed_from_u64(seed);
         let mut cells: Vec<Vec<(f64, usize)>> = vec![Vec::new(); BINS * TILES * TILES];
         for (bin, mut places) in binned.into_iter().enumerate() {
             places.sort_by(by_unevenness);
             // Edges, and whatever moved, are in the unevener half.
             places.truncate(places.len().div_ceil(2).max(FEWEST_OF_A_BIN));
+            // Among those any is as good as another.
+            places.shuffle(&mut random);
             places.into_iter().for_each(|p| cells[bin * TILES * TILES + self.tiles[p.1]].push(p));
         }
         let mut bins: Vec<std::vec::IntoIter<usize>> =
@@ -129,11 +175,11 @@ fn in_turn(cells: &[Vec<(f64, usize)>]) -> Vec<usize> {
     (0..deepest).flat_map(|rank| cells.iter().filter_map(move |c| c.get(rank).map(|(_, i)| *i))).collect()
 }
 
-fn reading(frame: &Frame, channel: usize, x: usize, y: usize) -> Reading {
+fn reading(band: &CodeImage, channel: usize, x: usize) -> Reading {
     let (mut sum, mut low, mut high) = (0.0, f64::MAX, f64::MIN);
-    for v in y..y + SIDE {
+    for v in 0..SIDE {
         for u in x..x + SIDE {
-            let z = f64::from(frame.codes.at(u, v).0[channel]) * TOP;
+            let z = f64::from(band.at(u, v).0[channel]) * TOP;
             (sum, low, high) = (sum + z, low.min(z), high.max(z));
         }
     }
@@ -141,11 +187,9 @@ fn reading(frame: &Frame, channel: usize, x: usize, y: usize) -> Reading {
 }
 
 /// Level at which the channel saturates: the largest, if codes pile up there, or else the largest possible.
-fn saturation(frames: &[Frame], channel: usize) -> f64 {
-    let mut counts = [0_usize; LEVELS];
-    for pixel in frames.iter().flat_map(|f| f.codes.pixels()) {
-        counts[(f64::from(pixel.0[channel]) * TOP).round().clamp(0.0, TOP) as usize] += 1;
-    }
+fn saturation(frames: &[&Sampled], channel: usize) -> f64 {
+    let of = |level| frames.iter().map(|f| f.counts[channel][level]).sum();
+    let counts: Vec<usize> = (0..LEVELS).map(of).collect();
     let Some(largest) = counts.iter().rposition(|c| *c > 0) else { return TOP };
     let all: usize = counts.iter().sum();
     let neighbours = counts[largest.saturating_sub(8)..largest].iter().max().copied().unwrap_or(0);
@@ -154,10 +198,9 @@ fn saturation(frames: &[Frame], channel: usize) -> f64 {
 }
 
 /// Black level and its noise, levels: what the darkest places show, where longer exposure does not lift it.
-fn black_level(places: &[Vec<Reading>], frames: &[Frame]) -> (f64, f64) {
-    let shortest = frames[0].exposure;
-    let Some(second) = frames.iter().position(|f| f.exposure > 1.3 * shortest) else { return (0.0, 0.0) };
-    let last = frames.len() - 1;
+fn black_level(places: &[Vec<Reading>], exposures: &[f64]) -> (f64, f64) {
+    let Some(second) = exposures.iter().position(|e| *e > 1.3 * exposures[0]) else { return (0.0, 0.0) };
+    let last = exposures.len() - 1;
     // Places that never change (a painted border) tell nothing.
     let mut changing: Vec<&Vec<Reading>> = places.iter().filter(|p| p[last].mean > p[0].mean + 2.0).collect();
     changing.sort_by(|a, b| a[last].mean.total_cmp(&b[last].mean));

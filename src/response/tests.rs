@@ -81,15 +81,122 @@ fn equal_exposures_are_refused_but_a_double_is_not() {
     assert!(worst_error(&fit_exposures(&double, &double, 1.0).unwrap(), 40) < 0.04);
 }
 
+fn fit_with(taken: &[f64], said: &[f64], settings: &config::Response) -> Response {
+    let images: Vec<_> = taken.iter().zip(0..).map(|(e, seed)| photograph(*e, 1.0, seed, camera)).collect();
+    let frames: Vec<_> = images.iter().zip(said).map(|(codes, e)| Frame { codes, exposure: *e }).collect();
+    fit(&frames, settings).unwrap()
+}
+
 #[test]
-fn an_exposure_one_stop_off_shows() {
+fn an_exposure_one_stop_off_shows_where_what_is_stated_is_taken() {
     let mut said = STEPS;
     said[3] *= 2.0;
-    let quality = fit_exposures(&STEPS, &said, 1.0).unwrap().quality.unwrap();
+    let settings = config::Response { exposures_from_pixels: false, ..Default::default() };
+    let quality = fit_with(&STEPS, &said, &settings).quality.unwrap();
     let worst = (0..STEPS.len())
         .max_by(|a, b| quality.frame_stops[*a].abs().total_cmp(&quality.frame_stops[*b].abs()));
     assert!(quality.rms_stops[1] > 0.15, "{quality:?}");
     assert!(worst.is_some_and(|w| quality.frame_stops[w].abs() > 0.15), "{quality:?}");
+}
+
+#[test]
+fn an_exposure_one_stop_off_is_found_from_the_pixels_and_no_other_is() {
+    for (wrong, factor) in [(0, 2.0), (2, 0.5), (3, 2.0), (5, 0.5)] {
+        let mut said = STEPS;
+        said[wrong] *= factor;
+        let response = fit_with(&STEPS, &said, &config::Response::default());
+        for (i, e) in response.exposures.iter().enumerate() {
+            assert_eq!(e.is_corrected(), i == wrong, "{i} of {wrong}: {e:?}");
+            assert!((e.used / STEPS[i]).log2().abs() < 0.1, "{i} of {wrong}: {e:?}");
+            assert!(e.found.is_finite() && e.sigma_stops.is_none_or(f64::is_finite));
+        }
+        assert!(worst_error(&response, 40) < 0.05, "{wrong}: {}", worst_error(&response, 40));
+    }
+}
+
+#[test]
+fn exposures_that_are_right_stay_as_stated() {
+    for taken in [&STEPS[..], &[1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0], &[1.0, 8.0, 8.0, 64.0, 256.0]] {
+        let response = fit_with(taken, taken, &config::Response::default());
+        assert!(response.exposures.iter().all(|e| !e.is_doubtful()), "{:?}", response.exposures);
+    }
+}
+
+#[test]
+fn a_known_curve_tells_exposures_too() {
+    let response = fit_with(&STEPS, &STEPS, &config::Response::default());
+    let mut said = STEPS;
+    said[1] *= 1.5;
+    let images: Vec<_> = STEPS.iter().zip(10..).map(|(e, seed)| photograph(*e, 1.0, seed, camera)).collect();
+    let sampled: Vec<_> = images
+        .iter()
+        .zip(said)
+        .map(|(codes, exposure)| Sampled::new(&Frame { codes, exposure }).unwrap())
+        .collect();
+    let found = by_curve(&sampled, &response);
+    for (i, e) in found.iter().enumerate() {
+        assert_eq!(e.is_corrected(), i == 1, "{e:?}");
+        assert!((e.used / STEPS[i]).log2().abs() < 0.06, "{e:?}");
+    }
+}
+
+#[test]
+fn every_method_finds_the_curve_and_auto_takes_one_of_them() {
+    for method in config::ResponseMethod::ALL {
+        let response = fit_with(&STEPS, &STEPS, &config::Response { method, ..Default::default() });
+        assert_eq!(response.method, Some(method));
+        response.check().unwrap();
+        // Robertson's curve is not smooth: the worst of its levels is further off.
+        let error = worst_error(&response, 40);
+        assert!(error < 0.06, "{method:?}: {error}");
+    }
+    let auto = fit_with(&STEPS, &STEPS, &config::Response::default());
+    assert!(auto.method.is_some_and(|m| config::ResponseMethod::ALL.contains(&m)));
+    assert!(auto.quality.unwrap().held_out_stops.iter().all(|s| *s < 0.05));
+}
+
+#[test]
+fn the_truth_lies_within_the_band() {
+    let response = fit_with(&STEPS, &STEPS, &config::Response::default());
+    let (mut inside, mut all) = (0_usize, 0_i32);
+    for curve in &response.curves {
+        // ln exposure at which the camera stores a level, by bisection.
+        let truth = |z: usize| {
+            let (mut low, mut high) = (1e-6_f64, 1.0);
+            for _ in 0..60 {
+                let middle = 0.5 * (low + high);
+                if camera(middle) < z as f64 / 255.0 { low = middle } else { high = middle }
+            }
+            low.ln()
+        };
+        for z in 20..250 {
+            all += 1;
+            inside += usize::from(
+                (curve.exposure[z].ln() - truth(z)).abs() <= 1.96 * curve.standard_error[z] + 0.003,
+            );
+        }
+    }
+    assert!(inside as f64 > 0.9 * f64::from(all), "{inside} of {all}");
+}
+
+#[test]
+fn seeds_and_counts_stay_within_the_band() {
+    let images: Vec<_> = STEPS.iter().zip(0..).map(|(e, seed)| photograph(*e, 1.0, seed, camera)).collect();
+    let frames: Vec<_> =
+        images.iter().zip(STEPS).map(|(codes, exposure)| Frame { codes, exposure }).collect();
+    let with =
+        |samples, seed| fit(&frames, &config::Response { samples, seed, ..Default::default() }).unwrap();
+    let reference = with(100_000, 0);
+    for (samples, seed) in [(50, 0), (200, 1), (200, 2), (1000, 3)] {
+        let other = with(samples, seed);
+        for (a, b) in other.curves.iter().zip(&reference.curves) {
+            let outside = (20..250).filter(|z| {
+                let band = 1.96 * a.standard_error[*z].hypot(b.standard_error[*z]) + 1e-3;
+                (a.exposure[*z] / b.exposure[*z]).ln().abs() > band
+            });
+            assert!(outside.count() < 30, "{samples} samples, seed {seed}");
+        }
+    }
 }
 
 #[test]

@@ -95,6 +95,14 @@ exposure = [{ file = "brackets_03.jpg", time_s = 0.1, f_number = 8, iso = 100 }]
             r#"state it under [ingest] in pipeline.toml: exposure = [{ file = "brackets_03.jpg", time_s = 0.01 }], and f_number and iso if they vary"#,
         ),
         case(
+            "another colour profile",
+            &[Profile("photos/plate_000.jpg")],
+            "ingest",
+            1,
+            "checking the photographs: plate_000.jpg has Adobe RGB embedded, not sRGB",
+            "develop it again as sRGB, all photographs alike: a conversion afterwards would mix the channels' responses",
+        ),
+        case(
             "photo removed after ingest",
             &[Remove("photos/brackets_03.jpg")],
             "response",
@@ -164,6 +172,76 @@ exposure = [{ file = "*.jpg", time_s = 0.01, f_number = 8.0, iso = 100 }]
             1,
             "fitting the response to brackets_00.jpg … brackets_06.jpg: channel red: 0 of # places are well exposed in two frames, at least 30 are needed (0 % of their exposures are clipped, 100 % black)",
             "add longer exposures",
+        ),
+    ]);
+}
+
+#[test]
+fn a_saved_response_is_checked() {
+    check(&[
+        case(
+            "saved response missing",
+            &[Set(r#"[response]
+file = "other/response.json"
+"#)],
+            "response",
+            1,
+            "opening an input of stage `response`: ./other/response.json: No such file or directory (os error 2)",
+            "check the name and the folder in pipeline.toml",
+        ),
+        case(
+            "saved response cut short",
+            &[
+                Set(r#"[response]
+file = "curve.json"
+"#),
+                Write("curve.json", "{ \"format\": \"insitu-"),
+            ],
+            "response",
+            1,
+            "reading insitu-response: ./curve.json: damaged or cut short (EOF while parsing a string at line 1 column 20)",
+            "copy or export the file again",
+        ),
+        case(
+            "saved response of another format",
+            &[
+                Set(r#"[response]
+file = "curve.json"
+"#),
+                Copy("work/model/scene.json", "curve.json"),
+            ],
+            "response",
+            1,
+            "reading insitu-response: ./curve.json: is a `insitu-scene`, expected a `insitu-response`",
+            "copy or export the file again",
+        ),
+        case(
+            "saved response of an older version",
+            &[
+                Set(r#"[response]
+file = "curve.json"
+"#),
+                Copy("work/response/response.json", "curve.json"),
+                Swap("curve.json", "\"version\": 2", "\"version\": 1"),
+            ],
+            "response",
+            1,
+            "reading insitu-response: ./curve.json: has schema version 1, this insitu reads 2",
+            "copy or export the file again",
+        ),
+        case(
+            "saved response that falls",
+            &[
+                Set(r#"[response]
+file = "curve.json"
+"#),
+                Copy("work/response/response.json", "curve.json"),
+                Swap("curve.json", "\"exposure\": [", "\"exposure\": [2.0,"),
+            ],
+            "response",
+            1,
+            "reading insitu-response: ./curve.json: channel red: 257 levels that do not rise throughout",
+            "copy or export the file again",
         ),
     ]);
 }

@@ -93,6 +93,60 @@ method = "raytrace"
             "did you mean `ggx`?",
         ),
         case(
+            "unknown response method",
+            &[Set(r#"[response]
+method = "debevec"
+"#)],
+            "response",
+            2,
+            "case.toml:3:10: unknown variant `debevec`, expected one of `auto`, `debevec-malik`, `mitsunaga-nayar`, `robertson`",
+            "did you mean `debevec-malik`?",
+        ),
+        case(
+            "response file not a name",
+            &[Set("[response]\nfile = 3\n")],
+            "response",
+            2,
+            "case.toml:3:8: invalid type: integer `3`, expected path string",
+            "see the commented pipeline.toml of insitu",
+        ),
+        case(
+            "exposures from pixels neither true nor false",
+            &[Set(r#"[response]
+exposures_from_pixels = "yes"
+"#)],
+            "response",
+            2,
+            r#"case.toml:3:25: invalid type: string "yes", expected a boolean"#,
+            "see the commented pipeline.toml of insitu",
+        ),
+        case(
+            "negative seed",
+            &[Set("[response]\nseed = -1\n")],
+            "response",
+            2,
+            "case.toml:3:8: invalid value: integer `-1`, expected a whole number of at least 0",
+            "see the commented pipeline.toml of insitu",
+        ),
+        case(
+            "align neither true nor false",
+            &[Set("[merge]\nalign = 1\n")],
+            "merge",
+            2,
+            "case.toml:3:9: invalid type: integer `1`, expected a boolean",
+            "see the commented pipeline.toml of insitu",
+        ),
+        case(
+            "deghost neither true nor false",
+            &[Set(r#"[merge]
+deghost = "no"
+"#)],
+            "merge",
+            2,
+            r#"case.toml:3:11: invalid type: string "no", expected a boolean"#,
+            "see the commented pipeline.toml of insitu",
+        ),
+        case(
             "extends nothing",
             &[Write("case.toml", "extends = \"base.toml\"\n")],
             "ingest",
@@ -259,6 +313,30 @@ fn numbers_out_of_range_are_refused() {
             "give a number from 3 to 100; without it, it is 7, 5",
         ),
         case(
+            "huge seed",
+            &[Set("[response]\nseed = 9000000000000000000\n")],
+            "response",
+            2,
+            "case.toml:3:1: `response.seed` is 9000000000000000000",
+            "give a number from 0 to 1000000000000000; without it, it is 0",
+        ),
+        case(
+            "negative full well",
+            &[Set("[merge]\nfull_well_electrons = -1\n")],
+            "merge",
+            2,
+            "case.toml:3:1: `merge.full_well_electrons` is -1",
+            "give a number from 0 to 1000000000; without it, it is 0",
+        ),
+        case(
+            "full well not a number",
+            &[Set("[merge]\nfull_well_electrons = nan\n")],
+            "merge",
+            2,
+            "case.toml:3:1: `merge.full_well_electrons` is NaN",
+            "give a number from 0 to 1000000000; without it, it is 0",
+        ),
+        case(
             "exposure time 0",
             &[Set(r#"[ingest]
 exposure = [{ file = "probe_*.jpg", time_s = 0.0 }]
@@ -283,7 +361,7 @@ exposure = [{ file = "probe_*.jpg", time_s = -0.1 }]
             &[Swap("pipeline.toml", "radius_m = 0.1", "radius_m = 0.0")],
             "probe",
             2,
-            "pipeline.toml:73:1: `probe.radius_m` is 0",
+            "pipeline.toml:88:1: `probe.radius_m` is 0",
             "give a number above 0, at most 10; without it, it is 0.1",
         ),
         case(

@@ -22,6 +22,8 @@ pub enum Spoil {
     Flat(&'static str, u8),
     /// The same stored anew, without EXIF, of another size.
     Restore(&'static str, u32, u32),
+    /// The profile of Adobe RGB embedded in a JPEG.
+    Profile(&'static str),
     /// The camera turned to the left by so many degrees, exactly (a homography).
     Turn(&'static str, f64),
     /// All patches of the light model of one radiance.
@@ -55,6 +57,10 @@ impl Spoil {
                 let image = image::open(folder.join(file)).expect("a photograph").into_rgb8();
                 let image = image::imageops::crop_imm(&image, 0, 0, width, height).to_image();
                 write(folder.join(file), jpeg(&image));
+            }
+            Self::Profile(file) => {
+                let old = read(&folder.join(file));
+                write(folder.join(file), [&old[..2], &adobe_rgb(), &old[2..]].concat());
             }
             Self::Turn(start, degrees) => redraw(folder, start, |old| turned(old, degrees.to_radians())),
             Self::EvenLight => {
@@ -124,6 +130,31 @@ fn exif(jpeg: &[u8]) -> &[u8] {
         at = end;
     }
     panic!("no EXIF")
+}
+
+/// The APP2 segment with a profile (ICC.1:2022) of nothing but its primaries.
+fn adobe_rgb() -> Vec<u8> {
+    let primaries = [
+        (b"rXYZ", [0.6097, 0.3111, 0.0195]),
+        (b"gXYZ", [0.2053, 0.6257, 0.0609]),
+        (b"bXYZ", [0.1492, 0.0632, 0.7446]),
+    ];
+    let (start, tags, each) = (128, 4 + 12 * primaries.len() as u32, 20_u32);
+    let mut icc = vec![0; start];
+    icc[16..20].copy_from_slice(b"RGB ");
+    icc.extend((primaries.len() as u32).to_be_bytes());
+    for (i, (name, _)) in (0..).zip(&primaries) {
+        icc.extend(*name);
+        icc.extend((start as u32 + tags + each * i).to_be_bytes());
+        icc.extend(each.to_be_bytes());
+    }
+    for (_, colour) in primaries {
+        icc.extend(b"XYZ \0\0\0\0");
+        colour.iter().for_each(|v: &f64| icc.extend(((v * 65536.0) as i32).to_be_bytes()));
+    }
+    // The first of one segment.
+    let content = [b"ICC_PROFILE\0\x01\x01", &icc[..]].concat();
+    [&[0xFF, 0xE2][..], &(content.len() as u16 + 2).to_be_bytes(), &content].concat()
 }
 
 /// What the office's camera (f = 593.6 px, centred) sees after a turn to the left.

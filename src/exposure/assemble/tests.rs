@@ -133,3 +133,12 @@ fn every_role_named_twice_for_one_file_stands_twice() {
     let (capture, _) = put(&files, &Default::default()).unwrap();
     assert_eq!(capture.images.iter().filter(|p| p.file == "p.jpg").count(), 2);
 }
+
+#[test]
+fn another_colour_space_is_refused_but_of_the_grid() {
+    let adobe = || Header { profile: Some("Adobe RGB".into()), ..header(Some(0.01)) };
+    let e = put(&[(Role::Plate, "é 1.jpg", adobe())], &Default::default()).unwrap_err();
+    assert_eq!(e.to_string(), "é 1.jpg has Adobe RGB embedded, not sRGB");
+    assert!(e.hint().starts_with("develop it again as sRGB"), "{}", e.hint());
+    assert!(put(&[plate(), (Role::Grid, "g.jpg", adobe())], &Default::default()).is_ok());
+}

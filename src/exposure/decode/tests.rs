@@ -48,6 +48,42 @@ fn with_exif(jpeg: &[u8], exif: &[u8]) -> Vec<u8> {
 }
 
 #[test]
+fn an_embedded_profile_is_told_whatever_the_name_of_the_file() {
+    use super::super::profile::tests::profile;
+    use image::{ExtendedColorType, ImageEncoder, codecs};
+    let folder = Folder::new();
+    let p3 = [[0.5151, 0.2412, -0.0011], [0.2920, 0.6922, 0.0419], [0.1571, 0.0666, 0.7841]];
+    for name in ["ein Bild.jpg", "画像 1.png"] {
+        let path = folder.0.path().join(name);
+        let file = std::fs::File::create(&path).unwrap();
+        let (pixels, size) = (gradient(), gradient().dimensions());
+        if name.ends_with("jpg") {
+            let mut encoder = codecs::jpeg::JpegEncoder::new(file);
+            encoder.set_icc_profile(profile(&p3)).unwrap();
+            encoder.write_image(&pixels, size.0, size.1, ExtendedColorType::Rgb8).unwrap();
+        } else {
+            let mut encoder = codecs::png::PngEncoder::new(file);
+            encoder.set_icc_profile(profile(&p3)).unwrap();
+            encoder.write_image(&pixels, size.0, size.1, ExtendedColorType::Rgb8).unwrap();
+        }
+        assert_eq!(Header::read(&path).unwrap().profile.as_deref(), Some("Display P3"), "{name}");
+    }
+    let plain = folder.save("plain.png", gradient());
+    assert_eq!(Header::read(&plain).unwrap().profile, None);
+}
+
+#[test]
+fn stored_codes_are_the_codes_and_a_linear_picture_has_none() {
+    let folder = Folder::new();
+    let path = folder.save("a.png", gradient());
+    let stored = decode_stored(&path).unwrap();
+    assert_eq!(stored.rows(0..32).unwrap(), codes(&path));
+    let linear = ImageBuffer::from_fn(4, 4, |x, _| Rgb([x as f32, 1.0, 2.0]));
+    let path = folder.save("a.hdr", linear);
+    assert!(decode_stored(&path).unwrap_err().to_string().contains("holds linear radiance"));
+}
+
+#[test]
 fn eight_and_sixteen_bits_keep_their_codes() {
     let folder = Folder::new();
     let eight = codes(&folder.save("a.png", gradient()));

@@ -1,0 +1,125 @@
+//! Time and memory on large frames, each program in a process of its own.
+
+use super::subject::Subject;
+use crate::config;
+use crate::error::{Context as _, Error, FileContext, Result};
+use crate::exposure::{Frame, Rows, Spooled, decode_stored};
+use crate::merge::{Problem, merge_in_bands};
+use crate::printer::Printer;
+use crate::response::{Sampled, fit_sampled};
+use crate::stage::peak_memory_mib;
+use crate::vision::hdr::{Exposures, Method};
+use image::{ExtendedColorType, ImageEncoder, RgbImage, codecs::jpeg::JpegEncoder, imageops};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::Instant;
+
+const FRAMES: usize = 10;
+const SIZE: (u32, u32) = (4000, 3000);
+const DOING: &str = "timing large frames";
+const LIST: &str = "exposures.txt";
+
+/// The programs, by the names that [`merge_cost`] knows.
+const PROGRAMS: [&str; 3] = ["insitu", "opencv-debevec", "opencv-robertson"];
+
+/// Prints a line for each program: seconds and peak memory from JPEG files to radiance, and both against OpenCV's
+/// `CalibrateDebevec` and `MergeDebevec`.
+pub(super) fn print(subject: &Subject, printer: &Printer) -> Result<()> {
+    let folder = tempfile::tempdir().at(DOING, Path::new("a temporary folder"))?;
+    enlarge(subject, folder.path())?;
+    printer.data(&format!(
+        "\n{}: {FRAMES} frames enlarged to {}×{} px, from JPEG files to radiance; each in a process of its own\n{:<20}{:>8}{:>12}{:>12}{:>14}",
+        subject.name, SIZE.0, SIZE.1, "", "s", "peak, MiB", "time ratio", "memory ratio"
+    ));
+    let mut costs = Vec::new();
+    for program in PROGRAMS {
+        let own = std::env::current_exe().at(DOING, folder.path())?;
+        let output =
+            Command::new(&own).args(["merge-cost", program]).arg(folder.path()).output().at(DOING, &own)?;
+        let text = String::from_utf8_lossy(&output.stdout);
+        let numbers: Vec<f64> = text.split_whitespace().filter_map(|w| w.parse().ok()).collect();
+        let [seconds, memory] = numbers[..] else {
+            return Err(Error::Bug(format!(
+                "{program} told no cost: {}",
+                String::from_utf8_lossy(&output.stderr).trim()
+            )));
+        };
+        costs.push((program, seconds, memory));
+    }
+    let (_, seconds, memory) = costs[1];
+    for (program, s, m) in costs {
+        printer.data(&format!("{program:<20}{s:>8.1}{m:>12.0}{:>12.2}{:>14.2}", s / seconds, m / memory));
+    }
+    Ok(())
+}
+
+fn enlarge(subject: &Subject, folder: &Path) -> Result<()> {
+    let mut list = String::new();
+    for (i, (image, exposure)) in
+        subject.images.iter().zip(&subject.exposures).cycle().take(FRAMES).enumerate()
+    {
+        let bytes = image.pixels().iter().flat_map(|p| p.0.map(|v| (v * 255.0).round() as u8)).collect();
+        let small = RgbImage::from_raw(image.width() as u32, image.height() as u32, bytes);
+        let small = small.ok_or_else(|| Error::Bug("a frame has another size than it says".into()))?;
+        let large = imageops::resize(&small, SIZE.0, SIZE.1, imageops::FilterType::Triangle);
+        let path = folder.join(format!("{i}.jpg"));
+        let file = std::io::BufWriter::new(std::fs::File::create(&path).at(DOING, &path)?);
+        JpegEncoder::new_with_quality(file, 95)
+            .write_image(large.as_raw(), SIZE.0, SIZE.1, ExtendedColorType::Rgb8)
+            .map_err(|e| Error::file(DOING, &path, e, "free some disk space"))?;
+        list += &format!("{exposure}\n");
+    }
+    let path = folder.join(LIST);
+    std::fs::write(&path, list).at(DOING, &path)
+}
+
+/// One program's cost on a folder that [`print`] has filled: `seconds MiB`.
+pub(in crate::bench) fn merge_cost(program: &str, folder: &Path, printer: &Printer) -> Result<()> {
+    let list = folder.join(LIST);
+    let text = std::fs::read_to_string(&list).at(DOING, &list)?;
+    let exposures = text.lines().filter_map(|l| l.parse::<f64>().ok());
+    let files: Vec<(PathBuf, f64)> =
+        exposures.enumerate().map(|(i, e)| (folder.join(format!("{i}.jpg")), e)).collect();
+    let started = Instant::now();
+    match program {
+        "insitu" => ours(&files)?,
+        "opencv-debevec" => theirs(&files, Method::Debevec)?,
+        "opencv-robertson" => theirs(&files, Method::Robertson)?,
+        other => {
+            return Err(Error::Usage {
+                problem: format!("no program `{other}`"),
+                hint: format!("one of {}", PROGRAMS.join(", ")),
+            });
+        }
+    }
+    printer.data(&format!("{} {}", started.elapsed().as_secs_f64(), peak_memory_mib()));
+    Ok(())
+}
+
+fn ours(files: &[(PathBuf, f64)]) -> Result<()> {
+    let (mut spooled, mut sampled) = (Vec::new(), Vec::new());
+    for (path, exposure) in files {
+        let stored = decode_stored(path)?;
+        sampled.push(Sampled::new(&Frame { codes: &stored, exposure: *exposure }).at(DOING, path)?);
+        spooled.push(Spooled::new(&stored).at(DOING, path)?);
+    }
+    let response = fit_sampled(&sampled, &config::Response::default()).doing("fitting the response")?;
+    let frames: Vec<Frame> = spooled
+        .iter()
+        .zip(&response.exposures)
+        .map(|(codes, e)| Frame { codes: codes as &dyn Rows, exposure: e.used })
+        .collect();
+    let take = |band: crate::merge::Band| {
+        std::hint::black_box(band.merged.radiance.pixels());
+        Ok::<_, Problem>(())
+    };
+    merge_in_bands(&frames, &response, 1.0, &config::Merge::default(), take).doing("merging")?;
+    Ok(())
+}
+
+fn theirs(files: &[(PathBuf, f64)], method: Method) -> Result<()> {
+    let files: Vec<(&Path, f64)> = files.iter().map(|(p, e)| (p.as_path(), *e)).collect();
+    let exposures = Exposures::read(&files).doing("reading by OpenCV")?;
+    std::hint::black_box(exposures.merge_for_cost(method).doing("merging by OpenCV")?);
+    Ok(())
+}

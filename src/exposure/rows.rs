@@ -1,0 +1,153 @@
+//! Codes of a photograph a band of rows at a time, so that what uses them need not hold them all.
+
+use crate::image::{Code, CodeImage, Image};
+use std::fs::File;
+use std::io::{Result, Write};
+use std::ops::Range;
+use std::os::unix::fs::FileExt;
+
+/// A photograph whose rows are read when they are needed.
+pub trait Rows: Sync {
+    /// `(width, height)`, px.
+    fn size(&self) -> (usize, usize);
+
+    /// The rows of a range, which lies within the picture.
+    fn rows(&self, range: Range<usize>) -> Result<CodeImage>;
+}
+
+impl Rows for CodeImage {
+    fn size(&self) -> (usize, usize) {
+        CodeImage::size(self)
+    }
+
+    fn rows(&self, range: Range<usize>) -> Result<CodeImage> {
+        let width = self.width();
+        let pixels = self.pixels()[range.start * width..range.end * width].to_vec();
+        Ok(Image::from_pixels(width, range.len(), pixels))
+    }
+}
+
+/// Samples of a photograph as its file holds them: red, green, blue of each pixel, row by row, upright.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Samples {
+    /// Of at most 8 bits.
+    Eight(Vec<u8>),
+    /// Of more.
+    Sixteen(Vec<u16>),
+}
+
+/// A photograph as its file holds it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Stored {
+    /// Width, px.
+    pub width: usize,
+    /// Height, px.
+    pub height: usize,
+    /// Three for each pixel.
+    pub samples: Samples,
+}
+
+fn pixels(width: usize, codes: impl Iterator<Item = f32>) -> CodeImage {
+    let codes: Vec<f32> = codes.collect();
+    let pixels: Vec<Code> = codes.chunks_exact(3).map(|c| Code([c[0], c[1], c[2]])).collect();
+    Image::from_pixels(width, pixels.len() / width.max(1), pixels)
+}
+
+impl Rows for Stored {
+    fn size(&self) -> (usize, usize) {
+        (self.width, self.height)
+    }
+
+    fn rows(&self, range: Range<usize>) -> Result<CodeImage> {
+        let part = range.start * self.width * 3..range.end * self.width * 3;
+        Ok(match &self.samples {
+            Samples::Eight(s) => pixels(self.width, s[part].iter().map(|v| f32::from(*v) / 255.0)),
+            Samples::Sixteen(s) => pixels(self.width, s[part].iter().map(|v| f32::from(*v) / 65535.0)),
+        })
+    }
+}
+
+/// A photograph put aside on the disk, in a file without a name that goes with it.
+#[derive(Debug)]
+pub struct Spooled {
+    file: File,
+    width: usize,
+    height: usize,
+    bytes: usize,
+}
+
+impl Spooled {
+    /// Puts a photograph aside.
+    pub fn new(stored: &Stored) -> Result<Self> {
+        let mut file = tempfile::tempfile()?;
+        let bytes = match &stored.samples {
+            Samples::Eight(s) => {
+                file.write_all(s)?;
+                1
+            }
+            Samples::Sixteen(s) => {
+                file.write_all(bytemuck::cast_slice(s))?;
+                2
+            }
+        };
+        Ok(Self { file, width: stored.width, height: stored.height, bytes })
+    }
+}
+
+/// Keeps a photograph in memory while there is room, bytes, and puts it aside otherwise.
+pub fn put_aside(stored: Stored, room: &mut usize) -> Result<Box<dyn Rows>> {
+    let bytes = match &stored.samples {
+        Samples::Eight(s) => s.len(),
+        Samples::Sixteen(s) => 2 * s.len(),
+    };
+    if bytes > *room {
+        return Ok(Box::new(Spooled::new(&stored)?));
+    }
+    *room -= bytes;
+    Ok(Box::new(stored))
+}
+
+impl Rows for Spooled {
+    fn size(&self) -> (usize, usize) {
+        (self.width, self.height)
+    }
+
+    fn rows(&self, range: Range<usize>) -> Result<CodeImage> {
+        let row = self.width * 3 * self.bytes;
+        let mut bytes = vec![0; range.len() * row];
+        self.file.read_exact_at(&mut bytes, (range.start * row) as u64)?;
+        Ok(if self.bytes == 1 {
+            pixels(self.width, bytes.iter().map(|v| f32::from(*v) / 255.0))
+        } else {
+            let words = bytes.chunks_exact(2).map(|b| u16::from_ne_bytes([b[0], b[1]]));
+            pixels(self.width, words.map(|v| f32::from(v) / 65535.0))
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_are_the_same_however_they_are_held() {
+        let values: Vec<u16> = (0..4 * 5 * 3).map(|i| i * 1000).collect();
+        let stored = Stored { width: 4, height: 5, samples: Samples::Sixteen(values.clone()) };
+        let whole = stored.rows(0..5).unwrap();
+        assert_eq!(whole.at(1, 2).0, [27, 28, 29].map(|i| f32::from(values[i]) / 65535.0));
+        let spooled = Spooled::new(&stored).unwrap();
+        for part in [0..5, 1..3, 4..5, 2..2] {
+            let expected = stored.rows(part.clone()).unwrap();
+            assert_eq!(Rows::rows(&whole, part.clone()).unwrap(), expected);
+            assert_eq!(spooled.rows(part).unwrap(), expected);
+        }
+        let mut room = 250;
+        for left in [130, 10, 10] {
+            let kept = put_aside(stored.clone(), &mut room).unwrap();
+            assert_eq!((room, kept.rows(1..3).unwrap()), (left, stored.rows(1..3).unwrap()));
+        }
+        let eight = Stored { width: 4, height: 5, samples: Samples::Eight((0..60).collect()) };
+        assert_eq!(Spooled::new(&eight).unwrap().rows(3..5).unwrap(), eight.rows(3..5).unwrap());
+        assert_eq!(eight.rows(0..1).unwrap().at(1, 0).0, [3.0 / 255.0, 4.0 / 255.0, 5.0 / 255.0]);
+    }
+}

@@ -1,0 +1,293 @@
+//! Merging a band of rows at a time.
+
+use super::estimate::{Estimate, Reading, estimate, inconsistent, overexpose};
+use super::ghosts;
+use super::noise::{Noise, Sensor};
+use super::order::by_exposure;
+use super::{Merged, Problem};
+use crate::config;
+use crate::exposure::Frame;
+use crate::image::{CodeImage, Image, Radiance};
+use crate::response::Response;
+use rayon::prelude::*;
+use std::ops::Range;
+
+/// Pixels of a band.
+const PIXELS: usize = 1 << 17;
+
+/// Rows of a merged view.
+#[derive(Debug, Clone)]
+pub struct Band {
+    /// Its first row in the view, px.
+    pub top: usize,
+    /// Radiance, variance, clipping.
+    pub merged: Merged,
+    /// Frames left out at each pixel since they see something else, one bit for each of the first 64 that were given.
+    pub left_out: Image<u64>,
+}
+
+/// What came out for one frame.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct FrameFigures {
+    /// Median of |log2 (frame / merged)| over the pixels that are well exposed in it, stops; 0 where there are none.
+    /// Noise, wrong exposures, motion all show.
+    pub residual_stops: f64,
+    /// Share of its pixels that saturate in a channel.
+    pub clipped_share: f64,
+    /// Share of the pixels at which it is left out.
+    pub left_out_share: f64,
+}
+
+/// What came out as a whole.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Summary {
+    /// By frame, in the order given.
+    pub frames: Vec<FrameFigures>,
+    /// Noise that was reckoned with, per channel.
+    pub sensors: [Sensor; 3],
+    /// Share of pixels that saturate in every frame.
+    pub clipped_share: f64,
+    /// Median standard error over radiance of the green channel, over pixels that are not clipped.
+    pub median_relative_error: f64,
+}
+
+/// Merges frames of one view and size and hands the bands on from the top down; memory grows with the width and the
+/// count of frames, not with the height. `plate_exposure` sets the unit. The order of the frames makes no difference.
+pub fn merge_in_bands<E: From<Problem>>(
+    frames: &[Frame],
+    response: &Response,
+    plate_exposure: f64,
+    settings: &config::Merge,
+    mut take: impl FnMut(Band) -> Result<(), E>,
+) -> Result<Summary, E> {
+    let (width, height) = check(frames, plate_exposure)?;
+    let order = by_exposure(frames).map_err(Problem::from)?;
+    let frames: Vec<Frame> = order.iter().map(|i| frames[*i]).collect();
+    let view = View {
+        noise: Noise::new(response, &frames, settings)?,
+        // Radiance at which each frame has relative exposure 1.
+        units: frames.iter().map(|f| (plate_exposure / f.exposure) as f32).collect(),
+        size: (width, height),
+        deghost: settings.deghost && frames.len() > 2,
+        frames,
+        order,
+    };
+    let rows = (PIXELS / width.max(1)).clamp(1, height.max(1));
+    let tops: Vec<usize> = (0..height).step_by(rows).collect();
+    let mut counts = Counts::new(view.frames.len());
+    for group in tops.chunks(rayon::current_num_threads()) {
+        let bands: Vec<_> = group.par_iter().map(|top| view.band(*top..(top + rows).min(height))).collect();
+        for band in bands {
+            let (band, of_band) = band?;
+            counts.add(&of_band);
+            take(band)?;
+        }
+    }
+    Ok(counts.summary(&view))
+}
+
+fn check(frames: &[Frame], plate_exposure: f64) -> Result<(usize, usize), Problem> {
+    let first = frames.first().ok_or(Problem::NoFrame)?.codes.size();
+    for (i, frame) in frames.iter().enumerate() {
+        if frame.codes.size() != first {
+            return Err(Problem::Sizes { frame: i + 1, size: frame.codes.size(), first });
+        }
+    }
+    for exposure in frames.iter().map(|f| f.exposure).chain([plate_exposure]) {
+        if !(exposure.is_finite() && exposure > 0.0) {
+            return Err(Problem::Exposure { exposure });
+        }
+    }
+    Ok(first)
+}
+
+struct View<'a> {
+    /// From the shortest exposure on.
+    frames: Vec<Frame<'a>>,
+    /// Where each of them stood among those given.
+    order: Vec<usize>,
+    noise: Noise<'a>,
+    units: Vec<f32>,
+    size: (usize, usize),
+    deghost: bool,
+}
+
+impl View<'_> {
+    fn band(&self, rows: Range<usize>) -> Result<(Band, Counts), Problem> {
+        let margin = if self.deghost { ghosts::MARGIN } else { 0 };
+        let wider = rows.start.saturating_sub(margin)..(rows.end + margin).min(self.size.1);
+        let read = |f: &Frame| f.codes.rows(wider.clone());
+        let codes = self.frames.iter().map(read).collect::<Result<Vec<CodeImage>, _>>()?;
+        let (width, all) = (self.size.0, wider.len() * self.size.0);
+        let mut readings = Vec::new();
+        let mut seen = Vec::with_capacity(all);
+        let mut estimates = Vec::with_capacity(all);
+        for i in 0..all {
+            let (mut bits, mut pixel) = (0, [Estimate::default(); 3]);
+            for (channel, estimated) in pixel.iter_mut().enumerate() {
+                self.read(&codes, i, channel, 0, &mut readings);
+                *estimated = estimate(&readings, &self.noise, channel);
+                if self.deghost {
+                    bits |= inconsistent(&readings, &self.noise, channel, estimated.radiance);
+                }
+            }
+            seen.push(bits);
+            estimates.push(pixel);
+        }
+        let left_out = ghosts::mask(&Image::from_pixels(width, wider.len(), seen));
+        let inner = (rows.start - wider.start) * width..(rows.end - wider.start) * width;
+        let mut counts = Counts::new(self.frames.len());
+        let mut merged = Merged {
+            radiance: Image::from_fn(width, rows.len(), |_, _| Radiance::default()),
+            variance: Image::from_fn(width, rows.len(), |_, _| [0.0; 3]),
+            clipped: Image::from_fn(width, rows.len(), |_, _| false),
+        };
+        for (to, i) in inner.clone().enumerate() {
+            let without = left_out.pixels()[i];
+            for (channel, estimated) in estimates[i].iter_mut().enumerate() {
+                if without != 0 {
+                    self.read(&codes, i, channel, without, &mut readings);
+                    *estimated = estimate(&readings, &self.noise, channel);
+                }
+                merged.radiance.pixels_mut()[to].0[channel] = estimated.radiance;
+                merged.variance.pixels_mut()[to][channel] = estimated.variance;
+                merged.clipped.pixels_mut()[to] |= estimated.clipped;
+            }
+            counts.pixel(self, &codes, i, &estimates[i], without);
+        }
+        let left_out = left_out.pixels()[inner].iter().map(|bits| self.as_given(*bits)).collect();
+        let left_out = Image::from_pixels(width, rows.len(), left_out);
+        Ok((Band { top: rows.start, merged, left_out }, counts))
+    }
+
+    /// Bits of frames in the order in which they were given.
+    fn as_given(&self, bits: u64) -> u64 {
+        let set =
+            self.order.iter().take(64).enumerate().filter(|(i, given)| bits & 1 << i != 0 && **given < 64);
+        set.fold(0, |bits, (_, given)| bits | 1 << given)
+    }
+
+    /// What all frames but some say of a channel of pixel `i`; where all would be left out, all stay.
+    fn read(&self, codes: &[CodeImage], i: usize, channel: usize, without: u64, readings: &mut Vec<Reading>) {
+        readings.clear();
+        let kept = |frame: usize| frame >= 64 || without & 1 << frame == 0;
+        for pass in 0..2 {
+            for (frame, (codes, unit)) in codes.iter().zip(&self.units).enumerate() {
+                let code = codes.pixels()[i].0[channel];
+                // A frame that was moved does not reach everywhere.
+                if !code.is_nan() && (pass == 1 || kept(frame)) {
+                    readings.push(self.noise.read(frame, channel, code, *unit));
+                }
+            }
+            if !readings.is_empty() {
+                break;
+            }
+        }
+        overexpose(readings, &self.noise, channel);
+    }
+}
+
+/// Figures gathered over pixels. Medians are taken from histograms, so that they need no memory of all pixels.
+struct Counts {
+    pixels: usize,
+    /// Of which the frames' own figures are taken.
+    sampled: usize,
+    clipped: usize,
+    /// Relative standard errors, in steps of 0.05 %.
+    errors: Vec<u32>,
+    frames: Vec<FrameCounts>,
+}
+
+#[derive(Clone)]
+struct FrameCounts {
+    /// |log2 ratio|, in steps of 1/500 stop.
+    residuals: Vec<u32>,
+    clipped: usize,
+    left_out: usize,
+}
+
+const ERROR_STEP: f64 = 5e-4;
+const RESIDUAL_STEP: f64 = 2e-3;
+const STEPS: usize = 2000;
+const EVERY: usize = 7;
+
+impl Counts {
+    fn new(frames: usize) -> Self {
+        let frame = FrameCounts { residuals: vec![0; STEPS], clipped: 0, left_out: 0 };
+        Self { pixels: 0, sampled: 0, clipped: 0, errors: vec![0; STEPS], frames: vec![frame; frames] }
+    }
+
+    fn pixel(&mut self, view: &View, codes: &[CodeImage], i: usize, estimates: &[Estimate; 3], without: u64) {
+        self.pixels += 1;
+        let clipped = estimates.iter().any(|e| e.clipped);
+        self.clipped += usize::from(clipped);
+        let green = &estimates[1];
+        if !clipped && green.radiance > 0.0 {
+            self.errors[step(f64::from(green.variance.sqrt() / green.radiance), ERROR_STEP)] += 1;
+        }
+        for (frame, counts) in self.frames.iter_mut().enumerate() {
+            counts.left_out += usize::from(frame < 64 && without & 1 << frame != 0);
+        }
+        // Some of the pixels tell of each frame.
+        if !i.is_multiple_of(EVERY) {
+            return;
+        }
+        self.sampled += 1;
+        for (frame, counts) in self.frames.iter_mut().enumerate() {
+            let code = codes[frame].pixels()[i].0;
+            counts.clipped += usize::from((0..3).any(|c| view.noise.read(frame, c, code[c], 1.0).clipped));
+            // Green alone: it has the least noise and is the same in JPEG's subsampled colour.
+            if (0.2..0.9).contains(&code[1]) && green.radiance > 0.0 {
+                let says = view.noise.read(frame, 1, code[1], view.units[frame]).exposure * view.units[frame];
+                counts.residuals[step(f64::from(says / green.radiance).log2().abs(), RESIDUAL_STEP)] += 1;
+            }
+        }
+    }
+
+    fn add(&mut self, other: &Self) {
+        let add = |a: &mut [u32], b: &[u32]| a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
+        self.pixels += other.pixels;
+        self.sampled += other.sampled;
+        self.clipped += other.clipped;
+        add(&mut self.errors, &other.errors);
+        for (a, b) in self.frames.iter_mut().zip(&other.frames) {
+            add(&mut a.residuals, &b.residuals);
+            a.clipped += b.clipped;
+            a.left_out += b.left_out;
+        }
+    }
+
+    fn summary(&self, view: &View) -> Summary {
+        let share = |n: usize| n as f64 / self.pixels.max(1) as f64;
+        let of = |f: &FrameCounts| FrameFigures {
+            residual_stops: middle(&f.residuals, RESIDUAL_STEP),
+            clipped_share: f.clipped as f64 / self.sampled.max(1) as f64,
+            left_out_share: share(f.left_out),
+        };
+        let mut frames = vec![FrameFigures::default(); self.frames.len()];
+        for (counts, given) in self.frames.iter().zip(&view.order) {
+            frames[*given] = of(counts);
+        }
+        Summary {
+            frames,
+            sensors: *view.noise.sensors(),
+            clipped_share: share(self.clipped),
+            median_relative_error: middle(&self.errors, ERROR_STEP),
+        }
+    }
+}
+
+fn step(value: f64, size: f64) -> usize {
+    ((value / size) as usize).min(STEPS - 1)
+}
+
+/// Median of a histogram; 0 of nothing.
+fn middle(counts: &[u32], size: f64) -> f64 {
+    let all: u64 = counts.iter().map(|c| u64::from(*c)).sum();
+    let mut sum = 0;
+    let at = counts.iter().position(|c| {
+        sum += u64::from(*c);
+        all > 0 && 2 * sum >= all
+    });
+    at.map_or(0.0, |k| (k as f64 + 0.5) * size)
+}
