@@ -13,16 +13,12 @@ use insitu::image::{Code, CodeImage, Image, RadianceImage, luminance};
 use insitu::live::{Live, Output, Phantoms, Sight};
 use insitu::render::load_object;
 use insitu::response::Response;
-use insitu::shadow::{Occluder, Problem, removed_radiance};
+use insitu::shadow::{Problem, removed_radiance};
 use insitu::subtractive::Surface;
 use insitu::synthetic::table;
 use nalgebra::{Isometry3, Point2, Point3};
-use room::{Stage, blob, camera, cuboid, errors, face, stage};
+use room::{Stage, camera, cuboid, errors, face, object, stage};
 use std::path::{Path, PathBuf};
-
-fn object() -> Occluder {
-    blob(Vec3::new(0.0, 0.17, 0.0), 0.15, 0.15, 24)
-}
 
 fn settings() -> Render {
     Render { method: ShadowMethod::LightDome, ..Default::default() }

@@ -6,13 +6,9 @@ use glam::Vec3;
 use insitu::config::{LightSampling, Render, ShadowMethod};
 use insitu::error::Problem as _;
 use insitu::illuminate::patch::{DistantSource, LightModel};
-use insitu::shadow::{Occluder, Problem, Session, removed_radiance};
+use insitu::shadow::{Problem, Session, removed_radiance};
 use proptest::prelude::*;
-use room::{Stage, blob, camera, cuboid, errors, face, stage};
-
-fn object() -> Occluder {
-    blob(Vec3::new(0.0, 0.17, 0.0), 0.15, 0.15, 24)
-}
+use room::{Stage, blob, camera, cuboid, errors, face, object, stage};
 
 fn settings() -> Render {
     Render { method: ShadowMethod::Subtractive, ..Default::default() }

@@ -55,32 +55,25 @@ impl Exposures {
 
     /// Fits the response and merges, all settings at their defaults. The radiance stays with OpenCV.
     fn calibrate_and_merge(&self, method: Method) -> Result<(Mat, Mat), Problem> {
-        let (mut response, mut radiance) = (Mat::default(), Mat::default());
+        let mut response = Mat::default();
         match method {
             Method::Debevec => {
                 photo::create_calibrate_debevec_def()?.process(&self.images, &mut response, &self.times)?;
-                let mut merge = photo::create_merge_debevec()?;
-                MergeExposuresTrait::process(
-                    &mut merge,
-                    &self.images,
-                    &mut radiance,
-                    &self.times,
-                    &response,
-                )?;
+                let radiance = self.merged(photo::create_merge_debevec()?, &response)?;
+                Ok((response, radiance))
             }
             Method::Robertson => {
                 photo::create_calibrate_robertson_def()?.process(&self.images, &mut response, &self.times)?;
-                let mut merge = photo::create_merge_robertson()?;
-                MergeExposuresTrait::process(
-                    &mut merge,
-                    &self.images,
-                    &mut radiance,
-                    &self.times,
-                    &response,
-                )?;
+                let radiance = self.merged(photo::create_merge_robertson()?, &response)?;
+                Ok((response, radiance))
             }
         }
-        Ok((response, radiance))
+    }
+
+    fn merged(&self, mut by: impl MergeExposuresTrait, response: &Mat) -> Result<Mat, Problem> {
+        let mut radiance = Mat::default();
+        MergeExposuresTrait::process(&mut by, &self.images, &mut radiance, &self.times, response)?;
+        Ok(radiance)
     }
 
     /// Fits the response and merges.

@@ -6,7 +6,7 @@ use insitu::camera::Camera;
 use insitu::config;
 use insitu::illuminate::patch::{LightModel, PatchMesh};
 use insitu::image::{Image, Radiance, RadianceImage, luminance};
-use insitu::shadow::{Receivers, Scene};
+use insitu::shadow::{Occluder, Receivers, Scene};
 use insitu::transfer::{Transfers, solve};
 
 #[allow(unused_imports)] // each test program uses its part
@@ -64,6 +64,11 @@ impl Stage {
 pub fn stage(edge: f32, width: u32, share: f64) -> Stage {
     let camera = camera([0.9, 1.3, 1.7], [0.0, 0.1, 0.0], width, width * 3 / 4, f64::from(width) * 0.9);
     Stage::new(room(edge), &camera, &config::Transfer { source_share: share, ..Default::default() })
+}
+
+/// A blob on the room's floor.
+pub fn object() -> Occluder {
+    blob(Vec3::new(0.0, 0.17, 0.0), 0.15, 0.15, 24)
 }
 
 /// Relative shadow error and energy bias where the reference removes more than 2 % (DESIGN §8, method error).
