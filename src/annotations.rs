@@ -40,7 +40,8 @@ impl Annotations {
 }
 
 /// Edges marked along three orthogonal directions of the room, `[x0, y0, x1, y1]` px; x and y horizontal, z up. The
-/// marks of x run from its start to its end, where the direction matters (pose without a grid).
+/// marks of x run from its start to its end, where the direction matters (pose without a grid). Without any, edges are searched
+/// if needed: z is the picture's vertical then, x points right, y away from the camera.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct VanishingLines {
@@ -61,6 +62,13 @@ pub struct VanishingLines {
     /// A known length.
     #[serde(default)]
     pub scale: Option<Scale>,
+}
+
+impl VanishingLines {
+    /// Whether any edge is marked, not only origin and scale.
+    pub fn has_edges(&self) -> bool {
+        [&self.x, &self.y, &self.z].iter().any(|lines| !lines.is_empty())
+    }
 }
 
 /// The outline of the mirror ball, where it is not to be searched: it need not stand on the surface under the grid then.

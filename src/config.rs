@@ -187,6 +187,9 @@ settings! {
         /// Accuracy of the focal length that EXIF or settings state, as a share of it, where it is combined with that
         /// from vanishing lines.
         stated_focal_sigma: f64 = 0.04,
+        /// Height of the camera over the floor, m, for a photograph without grid in which neither origin nor scale is
+        /// marked: the origin is on the floor then, where the middle of the lower half of the picture looks. 0: unknown.
+        camera_height_m: f64 = 0.0,
         /// Refuse a calibration whose grid corners reproject worse than this, px.
         max_rms_px: f64 = 1.0,
     }
@@ -212,7 +215,7 @@ pub enum PoseSource {
     Both,
     /// The grid alone.
     Grid,
-    /// Marked vanishing lines, origin and scale alone (tutorial §3).
+    /// Vanishing lines, marked or found, origin and scale alone (tutorial §3).
     VanishingLines,
 }
 

@@ -45,12 +45,15 @@ pub enum Loss {
     Squares,
     /// By its square up to the threshold, linearly beyond (Huber 1964); iteratively reweighted.
     Huber(f64),
+    /// By ln(1 + (r/c)²) c², which far outliers hardly raise; iteratively reweighted.
+    Cauchy(f64),
 }
 
 impl Loss {
     fn weight(self, residual: f64) -> f64 {
         match self {
             Self::Huber(threshold) if residual.abs() > threshold => threshold / residual.abs(),
+            Self::Cauchy(c) => 1.0 / (1.0 + (residual / c).powi(2)),
             _ => 1.0,
         }
     }

@@ -1,10 +1,11 @@
-//! OpenCV, and nothing but OpenCV: chessboard corners, markers, lens calibration, poses of a plane, video, and its own
-//! merging of exposures, which insitu is measured beside.
+//! OpenCV, and nothing but OpenCV: chessboard corners, line segments, markers, lens calibration, poses of a plane, video,
+//! and its own merging of exposures, which insitu is measured beside.
 //!
 //! OpenCV counts pixel centres as integers; the shift by half a pixel is made here and nowhere else.
 
 pub mod hdr;
 mod markers;
+mod segments;
 mod video;
 
 use crate::camera::Intrinsics;
@@ -15,6 +16,7 @@ use opencv::prelude::{MatTraitConst, MatTraitConstManual, VectorToVec};
 use opencv::{calib3d, imgproc};
 
 pub use markers::{Marker, marker_cells, markers};
+pub use segments::line_segments;
 pub use video::{VideoReader, VideoWriter};
 
 /// OpenCV failed.

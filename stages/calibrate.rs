@@ -29,9 +29,10 @@ fn main() -> std::process::ExitCode {
         }
         let grids = greys(ctx, &capture, plate, capture.with_role(Role::Grid))?;
         let mut plate_grids = greys(ctx, &capture, plate, capture.with_role(Role::PlateWithGrid))?;
+        let plate_grey = greys(ctx, &capture, plate, std::iter::once(plate))?;
         if plate_grids.is_empty() {
             // The grid may lie in the plate itself.
-            plate_grids = greys(ctx, &capture, plate, std::iter::once(plate))?;
+            plate_grids.clone_from(&plate_grey);
         }
         let evidence = Evidence {
             width_px: plate.width_px,
@@ -40,6 +41,7 @@ fn main() -> std::process::ExitCode {
             plate_grids: &plate_grids,
             stated_focal_px: capture.approximate_focal_px(plate),
             lines,
+            plate: plate_grey.first().map(|(_, image)| image),
         };
         let found = calibrate::solve(&evidence, settings)
             .doing(format!("finding lens and pose of {}", plate.file))?;

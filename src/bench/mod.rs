@@ -20,6 +20,7 @@ mod subject;
 mod subtractive;
 mod triptych;
 mod truth;
+mod vanishing;
 
 use crate::driver::run::{self, Range};
 use crate::driver::validate;
@@ -62,6 +63,9 @@ pub enum Table {
     Occlusion,
     /// The light dome by lights: time on a film (supan2006, Table 1), errors on captures (Figure 6), the film beside its truth.
     Dome,
+    /// Vanishing points, marked and found, against known ones: takes folders of photographs with a `*ground_truth.json`, and
+    /// rendered captures.
+    Vanishing,
     /// Response and merged radiance against the truth, beside OpenCV and pfstools; takes folders of exposures, too.
     Radiometry,
     /// How the response varies with samples, size, exposures and seed, against its own band; takes folders, too.
@@ -88,9 +92,9 @@ pub fn bench(
         });
     }
     let threads = std::thread::available_parallelism().map_or(1, |n| n.get());
-    // Folders of exposures have no settings.
-    let others =
-        tables.is_empty() || tables.iter().any(|t| !matches!(t, Table::Radiometry | Table::Stability));
+    // Folders of photographs have no settings.
+    let others = tables.is_empty()
+        || tables.iter().any(|t| !matches!(t, Table::Radiometry | Table::Stability | Table::Vanishing));
     let settings = if others { validate::settings_under(paths)? } else { Vec::new() };
     if let Some(folder) = pictures {
         std::fs::create_dir_all(folder).at("making a folder for pictures", folder)?;
@@ -108,6 +112,7 @@ pub fn bench(
             Table::Methods => methods::print(&settings, frames, printer)?,
             Table::Subtractive => subtractive::print(&settings, environments, pictures, printer)?,
             Table::Radiometry => radiometry::print(paths, printer)?,
+            Table::Vanishing => vanishing::print(paths, printer)?,
             Table::Stability => radiometry::print_stability(paths, printer)?,
             Table::Occlusion => occlusion::print(&settings, frames, pictures, printer)?,
             Table::Dome => dome::print(&settings, frames, pictures, printer)?,

@@ -1,13 +1,13 @@
 //! Marked vanishing lines as geometry, and a pose from them alone.
 
-use super::vanishing::{self, EdgeFit, PlacingMarks, RoomEdges};
+use super::vanishing::{self, EdgeFit, Placing, RoomEdges};
 use super::{PosedCamera, Problem, world_from_grid};
 use crate::annotations::{Axis, VanishingLines};
 use crate::camera::{Camera, Intrinsics};
 use nalgebra::{Isometry3, Point2, Translation3, UnitQuaternion};
 
 /// Pixel as an ideal lens would have it.
-fn undistorted(intrinsics: &Intrinsics, [x, y]: [f64; 2]) -> Point2<f64> {
+pub(super) fn undistorted(intrinsics: &Intrinsics, [x, y]: [f64; 2]) -> Point2<f64> {
     let ([f, g], [cx, cy]) = (intrinsics.focal_px, intrinsics.principal_point_px);
     let [x, y] = intrinsics.undistort([(x - cx) / f, (y - cy) / g]);
     Point2::new(f * x + cx, g * y + cy)
@@ -22,15 +22,10 @@ pub fn edges_of(lines: &VanishingLines, intrinsics: &Intrinsics) -> RoomEdges {
     RoomEdges { along: [edges(&lines.x), edges(&lines.y), edges(&lines.z)] }
 }
 
-/// Pose from orientation, origin and scale (tutorial §3). The room's frame takes the place of the grid's.
-pub fn pose_from_lines(
-    lines: &VanishingLines,
-    fit: &EdgeFit,
-    intrinsics: &Intrinsics,
-    sigma_px: f64,
-) -> Result<PosedCamera, Problem> {
+/// What places the camera by the marks of origin and length.
+pub(super) fn placing(lines: &VanishingLines, intrinsics: &Intrinsics) -> Result<Placing, Problem> {
     let (origin, scale) = lines.origin.zip(lines.scale.as_ref()).ok_or(Problem::NoOriginOrScale)?;
-    let marks = PlacingMarks {
+    Ok(Placing::Marks {
         origin: undistorted(intrinsics, origin),
         length: [scale.from, scale.to].map(|p| undistorted(intrinsics, p)),
         axis: match scale.axis {
@@ -39,10 +34,19 @@ pub fn pose_from_lines(
             Axis::Z => 2,
         },
         length_m: scale.length_m,
-    };
+    })
+}
+
+/// Pose from orientation and what places the camera (tutorial §3). The room's frame takes the place of the grid's.
+pub fn pose_from_lines(
+    placing: &Placing,
+    fit: &EdgeFit,
+    intrinsics: &Intrinsics,
+    sigma_px: f64,
+) -> Result<PosedCamera, Problem> {
     let principal = Point2::from(intrinsics.principal_point_px);
-    let centre = vanishing::camera_centre(&marks, fit.focal_px, principal, &fit.camera_from_room)?;
-    let sigma = vanishing::camera_centre_sigma(&marks, fit, principal, sigma_px)?;
+    let centre = vanishing::camera_centre(placing, fit.focal_px, principal, &fit.camera_from_room)?;
+    let sigma = vanishing::camera_centre_sigma(placing, fit, principal, sigma_px)?;
     let grid_from_camera = Isometry3::from_parts(
         Translation3::from(centre),
         UnitQuaternion::from_rotation_matrix(&fit.camera_from_room.inverse()),

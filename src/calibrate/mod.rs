@@ -2,6 +2,7 @@
 
 pub mod board;
 pub mod lens;
+pub mod manhattan;
 pub mod pose;
 pub mod vanishing;
 

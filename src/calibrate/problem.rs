@@ -37,6 +37,30 @@ pub enum Problem {
         /// Largest acceptable.
         limit: f64,
     },
+    /// The vanishing points leave the focal length open.
+    #[error(
+        "these vanishing points alone do not fix the focal length: it is known to {:.0} % (limit {:.0} %; condition \
+         number {condition:.0})",
+        100.0 * relative, 100.0 * limit
+    )]
+    FocalOpen {
+        /// σ / f.
+        relative: f64,
+        /// Largest acceptable.
+        limit: f64,
+        /// Condition number of the fit.
+        condition: f64,
+    },
+    /// No room is seen.
+    #[error(
+        "of {found} line segments in the photograph {used} agree with three directions at right angles, too few to tell from chance"
+    )]
+    NoRoom {
+        /// Segments found.
+        found: usize,
+        /// Those that agree.
+        used: usize,
+    },
     /// Nothing tells the focal length.
     #[error("nothing tells the focal length: no photographs of role `grid`, no vanishing lines, no EXIF")]
     NoFocal,
@@ -88,8 +112,11 @@ pub enum Problem {
         limit_px: f64,
     },
     /// A pose from lines without origin or scale.
-    #[error("a pose from vanishing lines alone needs the marks `origin` and `scale`")]
+    #[error("a pose from vanishing lines alone needs the marks `origin` and `scale`, or the camera's height")]
     NoOriginOrScale,
+    /// The origin is sought above the horizon.
+    #[error("the middle of the picture's lower half looks at no floor: it is above the horizon")]
+    NoFloor,
     /// Marks of the known length that make no sense.
     #[error(
         "the marked length is {relative_length:.3} times the origin's depth; it or the origin is above the horizon"
@@ -122,6 +149,14 @@ impl crate::error::Problem for Problem {
                 "show the grid with its margin, or set `calibrate.disc = \"none\"`".into()
             }
             Self::FewGrids { .. } => "photograph the grid from at least 3, better 10, sides".into(),
+            Self::FocalOpen { .. } => {
+                "state the focal length (EXIF, or `ingest.focal_mm` and `ingest.sensor_width_mm`), or use a photograph that \
+                 shows two directions in perspective"
+                    .into()
+            }
+            Self::NoRoom { .. } => {
+                "mark edges along the room's directions under [vanishing_lines], or photograph the grid".into()
+            }
             Self::FocalUncertain { .. } => {
                 "photograph the grid tilted to several sides, or mark longer lines along more directions".into()
             }
@@ -144,7 +179,10 @@ impl crate::error::Problem for Problem {
             Self::NegativeFocal { .. } | Self::EdgesDisagree { .. } => {
                 "check which edges are marked as x, y and z: they must be at right angles in the room".into()
             }
-            Self::NoOriginOrScale => "mark `origin` and `scale` under [vanishing_lines]".into(),
+            Self::NoOriginOrScale => {
+                "mark `origin` and `scale` under [vanishing_lines], or set `calibrate.camera_height_m`".into()
+            }
+            Self::NoFloor => "mark `origin` and `scale` under [vanishing_lines]".into(),
             Self::ScaleMarks { .. } => "mark the length from a point on the floor, along its axis".into(),
             Self::OtherImage { .. } => "mark them in the plate".into(),
             Self::Fit(e) => e.hint(),

@@ -1,12 +1,12 @@
 //! The whole calibration: which evidence there is decides what lens and pose come from.
 
-use super::vanishing::{self, EdgeFit, RoomEdges, StatedFocal};
-use super::{PosedCamera, Problem, board, edges_of, lens, pose, pose_from_lines};
+use super::vanishing::{self, Edge, EdgeFit, Placing, RoomEdges, StatedFocal};
+use super::{PosedCamera, Problem, board, edges_of, lens, lines, manhattan, pose, pose_from_lines};
 use crate::annotations::VanishingLines;
 use crate::camera::Intrinsics;
 use crate::config::{self, PoseSource};
 use crate::image::Image;
-use crate::vision::BoardView;
+use crate::vision::{self, BoardView};
 use nalgebra::Point2;
 use rayon::prelude::*;
 
@@ -22,8 +22,10 @@ pub struct Evidence<'a> {
     pub plate_grids: &'a [(String, Image<u8>)],
     /// Focal length that EXIF or settings state, px.
     pub stated_focal_px: Option<f64>,
-    /// Edges marked in a photograph from the plate's place.
+    /// Edges marked in a photograph from the plate's place, and what places the camera.
     pub lines: Option<&'a VanishingLines>,
+    /// The plate, in which edges are searched where none are marked and nothing else gives lens or pose.
+    pub plate: Option<&'a Image<u8>>,
 }
 
 /// Lens and pose of the plate, and how good they are.
@@ -60,11 +62,21 @@ pub fn solve(evidence: &Evidence, settings: &config::Calibrate) -> Result<Soluti
     };
 
     let diagonal = f64::from(width).hypot(f64::from(height));
-    let marked = evidence.lines.map(|lines| (lines, edges_of(lines, &intrinsics)));
-    let edge_fit = marked.as_ref().map(|(_, edges)| {
-        let centre = Point2::from(intrinsics.principal_point_px);
-        let (sigma_px, stated) = (settings.mark_sigma_px, stated_focal(evidence, settings));
+    let centre = Point2::from(intrinsics.principal_point_px);
+    let stated = stated_focal(evidence, settings);
+    let marked = evidence.lines.filter(|lines| lines.has_edges()).map(|lines| edges_of(lines, &intrinsics));
+    let wanted = lens.is_err() || settings.pose == PoseSource::VanishingLines;
+    let searched = evidence.plate.filter(|_| marked.is_none() && wanted);
+    let found = searched.map(|plate| {
+        let known = lens
+            .as_ref()
+            .ok()
+            .map(|_| StatedFocal { focal_px: intrinsics.focal_px[0], relative_sigma: SURE });
+        search(plate, &intrinsics, diagonal, known.or(stated))
+    });
+    let edge_fit = marked.as_ref().map(|edges| {
         let stated = stated.filter(|_| lens.is_err());
+        let sigma_px = settings.mark_sigma_px;
         let fit = vanishing::fit_edges(edges, centre, diagonal, sigma_px, stated)?;
         let limit_px = MAX_EDGE_SIGMA * settings.mark_sigma_px;
         if fit.rms_px > limit_px {
@@ -72,6 +84,10 @@ pub fn solve(evidence: &Evidence, settings: &config::Calibrate) -> Result<Soluti
         }
         Ok(fit)
     });
+    if let Some(Ok(found)) = &found {
+        warnings.push(found.told());
+    }
+    let edge_fit = edge_fit.or(found.map(|found| found.and_then(|f| f.fit.certain())));
 
     let (focal_source, focal_sigma_px, lens) = match (lens, &edge_fit) {
         (Ok(lens), _) => {
@@ -80,14 +96,9 @@ pub fn solve(evidence: &Evidence, settings: &config::Calibrate) -> Result<Soluti
         (Err(problem), Some(Ok(fit))) => {
             warnings.push(format!("focal length from the vanishing lines, not from the grid: {problem}"));
             intrinsics.focal_px = [fit.focal_px; 2];
-            let source = match stated_focal(evidence, settings) {
+            let source = match stated {
                 Some(stated) => {
-                    warnings.extend(disagreement(
-                        &stated,
-                        marked.as_ref().map(|(_, edges)| edges),
-                        settings,
-                        &intrinsics,
-                    ));
+                    warnings.extend(disagreement(&stated, marked.as_ref(), settings, &intrinsics));
                     "vanishing_lines and exif"
                 }
                 None => "vanishing_lines",
@@ -115,7 +126,8 @@ pub fn solve(evidence: &Evidence, settings: &config::Calibrate) -> Result<Soluti
         Some(Err(problem)) => (None, Some(problem)),
         None => (None, None),
     };
-    if let Some(fit) = edge_fit.as_ref().filter(|f| f.worst.2 > 2.0 * vanishing::ROBUST) {
+    let fit_of_marks = edge_fit.as_ref().filter(|_| marked.is_some());
+    if let Some(fit) = fit_of_marks.filter(|f| f.worst.2 > 2.0 * vanishing::ROBUST) {
         let axis = ["x", "y", "z"][fit.worst.0];
         warnings.push(format!(
             "line {} along {axis} misses its vanishing point by {:.1} σ",
@@ -124,7 +136,6 @@ pub fn solve(evidence: &Evidence, settings: &config::Calibrate) -> Result<Soluti
         ));
     }
 
-    let edges = marked.as_ref().map(|(_, edges)| edges);
     let (plate, edge_rms_px) = match settings.pose {
         PoseSource::VanishingLines => {
             if let Some(problem) = lines_problem {
@@ -135,13 +146,11 @@ pub fn solve(evidence: &Evidence, settings: &config::Calibrate) -> Result<Soluti
         source => {
             let boards = plate_boards(evidence, settings, &mut warnings);
             match boards {
-                Err(_)
-                    if source == PoseSource::Both && evidence.lines.is_some_and(|l| l.origin.is_some()) =>
-                {
+                Err(_) if source == PoseSource::Both && is_placed(evidence, settings) => {
                     (lines_alone(evidence, &intrinsics, edge_fit.as_ref(), settings)?, None)
                 }
                 boards => {
-                    let edges = edges.filter(|_| source == PoseSource::Both);
+                    let edges = marked.as_ref().filter(|_| source == PoseSource::Both);
                     let found = from_grid(&boards?, &intrinsics, lens.as_ref(), edges, settings)?;
                     (found.posed, found.edge_rms_px)
                 }
@@ -158,6 +167,27 @@ pub fn solve(evidence: &Evidence, settings: &config::Calibrate) -> Result<Soluti
         warnings.push(format!("grid and vanishing lines disagree: the lines are {rms:.1} px off (rms)"));
     }
     Ok(Solution { plate, focal_source, focal_sigma_px, lens, edges: edge_fit, edge_rms_px, warnings })
+}
+
+/// Whether anything but a grid can say where the camera is.
+fn is_placed(evidence: &Evidence, settings: &config::Calibrate) -> bool {
+    evidence.lines.is_some_and(|lines| lines.origin.is_some()) || settings.camera_height_m > 0.0
+}
+
+/// A focal length that is not to be moved: its relative standard deviation.
+const SURE: f64 = 1e-6;
+
+/// Searches the plate for edges along the room's directions.
+fn search(
+    plate: &Image<u8>,
+    intrinsics: &Intrinsics,
+    diagonal_px: f64,
+    stated: Option<StatedFocal>,
+) -> Result<manhattan::Found, Problem> {
+    let segments = vision::line_segments(plate)?;
+    let ideal: Vec<Edge> =
+        segments.iter().map(|s| s.map(|p| lines::undistorted(intrinsics, [p.x, p.y]))).collect();
+    manhattan::find(&ideal, Point2::from(intrinsics.principal_point_px), diagonal_px, stated)
 }
 
 /// The focal length of EXIF or settings with its accuracy.
@@ -256,8 +286,18 @@ fn lines_alone(
     edge_fit: Option<&EdgeFit>,
     settings: &config::Calibrate,
 ) -> Result<PosedCamera, Problem> {
-    let (lines, fit) = evidence.lines.zip(edge_fit).ok_or(Problem::NoGridInPlate)?;
+    let fit = edge_fit.ok_or(Problem::NoGridInPlate)?;
     // The orientation belongs to the focal length it was fitted with.
     let intrinsics = Intrinsics { focal_px: [fit.focal_px; 2], ..intrinsics.clone() };
-    pose_from_lines(lines, fit, &intrinsics, settings.mark_sigma_px)
+    let placing =
+        match evidence.lines.filter(|lines| lines.origin.is_some() || settings.camera_height_m == 0.0) {
+            Some(lines) => lines::placing(lines, &intrinsics)?,
+            None if settings.camera_height_m > 0.0 => {
+                let looks_at =
+                    Point2::new(f64::from(evidence.width_px) / 2.0, 0.75 * f64::from(evidence.height_px));
+                Placing::Height { looks_at, height_m: settings.camera_height_m }
+            }
+            None => return Err(Problem::NoOriginOrScale),
+        };
+    pose_from_lines(&placing, fit, &intrinsics, settings.mark_sigma_px)
 }

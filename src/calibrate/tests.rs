@@ -224,6 +224,7 @@ fn lines_origin_and_scale_alone_give_the_pose() {
         plate_grids: &[],
         stated_focal_px: None,
         lines: Some(&lines),
+        plate: None,
     };
     let found = solve(&evidence, &settings).unwrap();
     let plate = &found.plate.camera;

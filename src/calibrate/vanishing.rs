@@ -70,6 +70,8 @@ pub struct EdgeFit {
     pub camera_from_room: Rotation3<f64>,
     /// Covariance of focal length (px) and a turn in the camera frame (rad).
     pub covariance: DMatrix<f64>,
+    /// Condition number of the fit's Jacobian with columns of unit length.
+    pub condition: f64,
     /// Distance of an edge's ends from the fit, px.
     pub rms_px: f64,
     /// The worst edge: direction, number, residual in standard deviations.
@@ -118,27 +120,71 @@ pub fn fit_edges(
         None => start_from_points(&points, diagonal_px)?,
     };
     let rotation = orientation(&points, &edges.along, centre, diagonal_px, start)?;
-    let project = |x: &DVector<f64>, k: usize| {
-        let d = Rotation3::new(Vector3::new(x[1], x[2], x[3])) * rotation * Vector3::ith(k, 1.0);
-        let focal = start * x[0].exp();
-        Vector3::new(focal * d.x + centre.x * d.z, focal * d.y + centre.y * d.z, d.z)
+    let fit = fit_from(
+        &Room { focal_px: start, camera_from_room: rotation },
+        edges,
+        centre,
+        sigma_px,
+        stated,
+        Loss::Huber(ROBUST),
+    )?;
+    fit.certain()
+}
+
+/// Where a fit starts.
+#[derive(Debug, Clone, Copy)]
+pub struct Room {
+    /// Focal length, px.
+    pub focal_px: f64,
+    /// The room's directions in the camera frame.
+    pub camera_from_room: Rotation3<f64>,
+}
+
+impl Room {
+    /// The vanishing point of direction `k`, homogeneous, px.
+    pub fn vanishing_point(&self, k: usize, centre: Point2<f64>) -> Vector3<f64> {
+        let d = self.camera_from_room * Vector3::ith(k, 1.0);
+        Vector3::new(self.focal_px * d.x + centre.x * d.z, self.focal_px * d.y + centre.y * d.z, d.z)
+    }
+}
+
+impl EdgeFit {
+    /// Refuses a focal length that the edges leave open.
+    pub fn certain(self) -> Result<Self, Problem> {
+        let relative = self.covariance[(0, 0)].max(0.0).sqrt() / self.focal_px;
+        if relative <= MAX_RELATIVE_SIGMA {
+            Ok(self)
+        } else {
+            Err(Problem::FocalOpen { relative, limit: MAX_RELATIVE_SIGMA, condition: self.condition })
+        }
+    }
+}
+
+/// The fit from a start near enough.
+pub fn fit_from(
+    start: &Room,
+    edges: &RoomEdges,
+    centre: Point2<f64>,
+    sigma_px: f64,
+    stated: Option<StatedFocal>,
+    loss: Loss,
+) -> Result<EdgeFit, Problem> {
+    let room = |x: &DVector<f64>| Room {
+        focal_px: start.focal_px * x[0].exp(),
+        camera_from_room: Rotation3::new(Vector3::new(x[1], x[2], x[3])) * start.camera_from_room,
     };
     let residuals = |x: &DVector<f64>| {
+        let room = room(x);
         let all = edges.along.iter().enumerate().flat_map(|(k, edges)| {
-            let v = project(x, k);
+            let v = room.vanishing_point(k, centre);
             edges.iter().map(move |e| edge_residual(&v, e) / sigma_px)
         });
-        // Parameter 0 is ln f − ln start, and the start is the stated focal length.
-        Some(DVector::from_vec(all.chain(stated.map(|s| x[0] / s.relative_sigma)).collect()))
+        let stated = stated.map(|s| (room.focal_px / s.focal_px).ln() / s.relative_sigma);
+        Some(DVector::from_vec(all.chain(stated).collect()))
     };
     let names = ["the focal length", "the tilt", "the tilt", "the roll"].map(String::from);
-    let fit = least_squares::minimise(&residuals, &names, &[0.0; 4], Loss::Huber(ROBUST))?;
-    let relative = fit.sigma(0);
-    if relative > MAX_RELATIVE_SIGMA {
-        return Err(Problem::FocalUncertain { relative, limit: MAX_RELATIVE_SIGMA });
-    }
-    let turn = Rotation3::new(Vector3::new(fit.parameters[1], fit.parameters[2], fit.parameters[3]));
-    let focal_px = start * fit.parameters[0].exp();
+    let fit = least_squares::minimise(&residuals, &names, &[0.0; 4], loss)?;
+    let Room { focal_px, camera_from_room } = room(&fit.parameters);
     let mut covariance = fit.covariance.clone();
     covariance.row_mut(0).scale_mut(focal_px);
     covariance.column_mut(0).scale_mut(focal_px);
@@ -151,8 +197,9 @@ pub fn fit_edges(
     }
     Ok(EdgeFit {
         focal_px,
-        camera_from_room: turn * rotation,
+        camera_from_room,
         covariance,
+        condition: fit.condition,
         rms_px: of_edges.norm() / (of_edges.len().max(1) as f64).sqrt() * sigma_px,
         worst: (axis, number, fit.residuals[worst].abs()),
     })
@@ -216,22 +263,45 @@ fn orientation(
     Ok(Rotation3::from_matrix_unchecked(u * Matrix3::from_diagonal(&sign) * v))
 }
 
-/// Marks that place a camera whose orientation is known (tutorial §3), px, freed of distortion.
+/// What places a camera whose orientation is known (tutorial §3); px are freed of distortion.
 #[derive(Debug, Clone, Copy)]
-pub struct PlacingMarks {
-    /// Where the origin is seen.
-    pub origin: Point2<f64>,
-    /// Start, on the plane z = 0, and end of the known length.
-    pub length: Edge,
-    /// Along which direction.
-    pub axis: usize,
-    /// Length, m.
-    pub length_m: f64,
+pub enum Placing {
+    /// Marks of the origin and of a known length.
+    Marks {
+        /// Where the origin is seen.
+        origin: Point2<f64>,
+        /// Start, on the plane z = 0, and end of the known length.
+        length: Edge,
+        /// Along which direction.
+        axis: usize,
+        /// Length, m.
+        length_m: f64,
+    },
+    /// The camera's height over the plane z = 0.
+    Height {
+        /// Where the origin is seen.
+        looks_at: Point2<f64>,
+        /// Height, m.
+        height_m: f64,
+    },
+}
+
+impl Placing {
+    /// The same with marks shifted, px: of the origin, the length's start and its end.
+    fn shifted(&self, by: &[Vector2<f64>; 3]) -> Self {
+        match *self {
+            Self::Marks { origin, length: [from, to], axis, length_m } => {
+                Self::Marks { origin: origin + by[0], length: [from + by[1], to + by[2]], axis, length_m }
+            }
+            // Nothing is marked.
+            height => height,
+        }
+    }
 }
 
 /// Where the camera is in the room's frame (z up), m.
 pub fn camera_centre(
-    marks: &PlacingMarks,
+    placing: &Placing,
     focal_px: f64,
     centre: Point2<f64>,
     camera_from_room: &Rotation3<f64>,
@@ -240,32 +310,35 @@ pub fn camera_centre(
         let d = (p - centre) / focal_px;
         camera_from_room.inverse() * Vector3::new(d.x, d.y, 1.0)
     };
-    let [origin, from, to] = [marks.origin, marks.length[0], marks.length[1]].map(ray);
-    // With the origin at depth 1 the plane z = 0 lies at `origin.z` below the camera.
-    let on_plane = from * (origin.z / from.z);
-    let axis = Vector3::ith(marks.axis, 1.0);
-    // The point of the axis line through `on_plane` nearest to the end's ray.
-    let normal = to.cross(&axis.cross(&to));
-    let length = -on_plane.dot(&normal) / axis.dot(&normal);
-    let scale = marks.length_m / length;
-    let ok = scale.is_finite() && scale > 0.0 && origin.z < 0.0 && from.z < 0.0;
-    if ok { Ok(-origin * scale) } else { Err(Problem::ScaleMarks { relative_length: length }) }
+    match *placing {
+        Placing::Height { looks_at, height_m } => {
+            let origin = ray(looks_at);
+            if origin.z < 0.0 { Ok(origin * (height_m / origin.z)) } else { Err(Problem::NoFloor) }
+        }
+        Placing::Marks { origin, length: [from, to], axis, length_m } => {
+            let [origin, from, to] = [origin, from, to].map(ray);
+            // With the origin at depth 1 the plane z = 0 lies at `origin.z` below the camera.
+            let on_plane = from * (origin.z / from.z);
+            let axis = Vector3::ith(axis, 1.0);
+            // The point of the axis line through `on_plane` nearest to the end's ray.
+            let normal = to.cross(&axis.cross(&to));
+            let length = -on_plane.dot(&normal) / axis.dot(&normal);
+            let scale = length_m / length;
+            let ok = scale.is_finite() && scale > 0.0 && origin.z < 0.0 && from.z < 0.0;
+            if ok { Ok(-origin * scale) } else { Err(Problem::ScaleMarks { relative_length: length }) }
+        }
+    }
 }
 
 /// Standard deviation of the camera centre along each axis, m, by the propagation of all marks' noise.
 pub fn camera_centre_sigma(
-    marks: &PlacingMarks,
+    placing: &Placing,
     fit: &EdgeFit,
     centre: Point2<f64>,
     sigma_px: f64,
 ) -> Result<[f64; 3], Problem> {
     let at = |x: &[f64; 10]| {
-        let shift = |p: Point2<f64>, k: usize| p + Vector2::new(x[k], x[k + 1]);
-        let moved = PlacingMarks {
-            origin: shift(marks.origin, 4),
-            length: [shift(marks.length[0], 6), shift(marks.length[1], 8)],
-            ..*marks
-        };
+        let moved = placing.shifted(&[4, 6, 8].map(|k| Vector2::new(x[k], x[k + 1])));
         let turn = Rotation3::new(Vector3::new(x[1], x[2], x[3]));
         camera_centre(&moved, fit.focal_px + x[0], centre, &(turn * fit.camera_from_room))
     };

@@ -49,6 +49,7 @@ const RANGES: &[(&str, &str, Range)] = &[
     ("calibrate", "thickness_m", From(0.0, 10.0)),
     ("calibrate", "mark_sigma_px", Above(0.0, 100.0)),
     ("calibrate", "stated_focal_sigma", Above(0.0, 1.0)),
+    ("calibrate", "camera_height_m", From(0.0, 1000.0)),
     ("calibrate", "max_rms_px", Above(0.0, 100.0)),
     ("probe", "radius_m", Above(0.0, 10.0)),
     ("probe", "reflectivity", Above(0.0, 1.0)),
