@@ -45,15 +45,12 @@ pub enum Loss {
     Squares,
     /// By its square up to the threshold, linearly beyond (Huber 1964); iteratively reweighted.
     Huber(f64),
-    /// By ln(1 + (r/c)²) c², which far outliers hardly raise; iteratively reweighted.
-    Cauchy(f64),
 }
 
 impl Loss {
     fn weight(self, residual: f64) -> f64 {
         match self {
             Self::Huber(threshold) if residual.abs() > threshold => threshold / residual.abs(),
-            Self::Cauchy(c) => 1.0 / (1.0 + (residual / c).powi(2)),
             _ => 1.0,
         }
     }
@@ -66,6 +63,8 @@ pub struct Fit {
     pub parameters: DVector<f64>,
     /// Their covariance, (JᵀJ)⁻¹ σ² with σ² from the residuals; σ = 1 where there are no more residuals than parameters.
     pub covariance: DMatrix<f64>,
+    /// By how much each parameter (row) moves for a change of each residual (column): −(JᵀJ)⁻¹Jᵀ.
+    pub gain: DMatrix<f64>,
     /// Residuals at the parameters, not weighted.
     pub residuals: DVector<f64>,
     /// Root mean square of the residuals.
@@ -182,8 +181,8 @@ fn finish(
     let n = parameters.len();
     let rms = rms(&residuals);
     if n == 0 {
-        let covariance = DMatrix::zeros(0, 0);
-        return Ok(Fit { parameters, covariance, residuals, rms, condition: 1.0 });
+        let (covariance, gain) = (DMatrix::zeros(0, 0), DMatrix::zeros(0, residuals.len()));
+        return Ok(Fit { parameters, covariance, gain, residuals, rms, condition: 1.0 });
     }
     let name = |k: usize| names.get(k).cloned().unwrap_or_else(|| format!("parameter {k}"));
     if residuals.is_empty() {
@@ -207,7 +206,10 @@ fn finish(
         * DMatrix::from_diagonal(&eigen.eigenvalues.map(|l| 1.0 / l))
         * eigen.eigenvectors.transpose();
     let covariance = DMatrix::from_fn(n, n, |a, b| inverse[(a, b)] * scale[a] * scale[b] * variance);
-    Ok(Fit { parameters, covariance, residuals, rms, condition })
+    let mut gain = -(&inverse * js.transpose());
+    gain.row_iter_mut().zip(scale.iter()).for_each(|(mut row, s)| row *= *s);
+    gain.column_iter_mut().zip(weights.iter()).for_each(|(mut column, w)| column *= *w);
+    Ok(Fit { parameters, covariance, gain, residuals, rms, condition })
 }
 
 fn rms(r: &DVector<f64>) -> f64 {

@@ -52,8 +52,8 @@ fn main() -> std::process::ExitCode {
         ctx.figure("focal_sigma_px", found.focal_sigma_px);
         ctx.figure("focal_source", found.focal_source);
         let alone = found.edges.as_ref().filter(|_| found.focal_source != "vanishing_lines and exif");
-        ctx.figure("focal_from_lines_px", alone.map(|e| e.focal_px));
-        ctx.figure("focal_from_lines_sigma_px", alone.map(|e| e.covariance[(0, 0)].sqrt()));
+        ctx.figure("focal_from_lines_px", alone.map(|e| e.room.focal_px));
+        ctx.figure("focal_from_lines_sigma_px", alone.map(|e| e.focal_sigma_px()));
         ctx.figure("principal_point_px", intrinsics.principal_point_px);
         ctx.figure("distortion", intrinsics.distortion);
         ctx.figure("lens_rms_px", found.lens.as_ref().map(|l| l.fit.rms_px));

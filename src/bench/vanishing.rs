@@ -4,7 +4,7 @@
 use super::spread;
 use crate::calibrate::manhattan;
 use crate::calibrate::vanishing::{self, Edge, RoomEdges, StatedFocal};
-use crate::calibrate::{grey, grey_of_radiance};
+use crate::calibrate::{Problem, grey, grey_of_radiance};
 use crate::config::Role;
 use crate::driver::validate;
 use crate::error::{Context as _, Error, FileContext, Result};
@@ -160,7 +160,7 @@ fn one(folder: &Path, entry: &Entry, all: &mut Errors, printer: &Printer) -> Res
     all.ms.push(ms);
     let angles = match &found {
         Ok(found) => {
-            let turn = found.fit.camera_from_room.matrix();
+            let turn = found.fit.room.camera_from_room.matrix();
             all.single.extend(angles_to(turn, &entry.vp_columns));
             let orthogonal = angles_to(turn, &entry.vp_orthogonal_columns);
             all.orthogonal.extend(orthogonal);
@@ -177,31 +177,39 @@ fn one(folder: &Path, entry: &Entry, all: &mut Errors, printer: &Printer) -> Res
         None => "-".into(),
         Some(edges) => {
             if let Ok(fit) = vanishing::fit_edges(&edges, centre, diagonal, LABEL_SIGMA_PX, Some(known)) {
-                all.of_labels.extend(angles_to(fit.camera_from_room.matrix(), &entry.vp_orthogonal_columns));
+                all.of_labels
+                    .extend(angles_to(fit.room.camera_from_room.matrix(), &entry.vp_orthogonal_columns));
             }
             match vanishing::focal_from_edges(&edges, centre, diagonal, LABEL_SIGMA_PX) {
                 Ok(fit) => {
-                    all.labelled.push(error(fit.focal_px).abs());
-                    focal(error(fit.focal_px), &fit)
+                    all.labelled.push(error(fit.room.focal_px).abs());
+                    focal(error(fit.room.focal_px), &fit)
                 }
-                Err(problem) => format!("refused: {problem}"),
+                Err(problem) => refused(&problem),
             }
         }
     };
     let alone = manhattan::find(&segments, centre, diagonal, None).and_then(|f| f.fit.certain());
     let searched = match alone {
         Ok(fit) => {
-            all.searched.push(error(fit.focal_px).abs());
-            focal(error(fit.focal_px), &fit)
+            all.searched.push(error(fit.room.focal_px).abs());
+            focal(error(fit.room.focal_px), &fit)
         }
-        Err(problem) => format!("refused: {problem}"),
+        Err(problem) => refused(&problem),
     };
     printer.data(&format!("{:<16}{labelled:>26}{angles:>26}{searched:>26}{ms:>10.0}", entry.image));
     Ok(())
 }
 
+fn refused(problem: &Problem) -> String {
+    match problem {
+        Problem::FocalOpen { condition, .. } => format!("refused (condition {condition:.1})"),
+        other => format!("refused: {other}"),
+    }
+}
+
 fn focal(error: f64, fit: &vanishing::EdgeFit) -> String {
-    format!("{error:+.2} ± {:.2} %", 100.0 * fit.covariance[(0, 0)].sqrt() / fit.focal_px)
+    format!("{error:+.2} ± {:.2} %", 100.0 * fit.focal_sigma_px() / fit.room.focal_px)
 }
 
 /// Angles between the room's directions and the known ones in the pairing that fits best, degrees.
@@ -246,8 +254,8 @@ fn of_captures(paths: &[PathBuf], printer: &Printer) -> Result<()> {
             let centre = Point2::new(size[0] / 2.0, size[1] / 2.0);
             let found = manhattan::find(&segments, centre, size[0].hypot(size[1]), None);
             let cell = match found.and_then(|f| f.fit.certain()) {
-                Ok(fit) => focal(100.0 * (fit.focal_px / focal_px - 1.0), &fit),
-                Err(problem) => format!("refused: {problem}"),
+                Ok(fit) => focal(100.0 * (fit.room.focal_px / focal_px - 1.0), &fit),
+                Err(problem) => refused(&problem),
             };
             let name = format!("{} {name}", validate::name(&settings));
             printer.data(&format!("{name:<28}{focal_px:>16.1}{cell:>26}"));

@@ -45,11 +45,11 @@ pub fn pose_from_lines(
     sigma_px: f64,
 ) -> Result<PosedCamera, Problem> {
     let principal = Point2::from(intrinsics.principal_point_px);
-    let centre = vanishing::camera_centre(placing, fit.focal_px, principal, &fit.camera_from_room)?;
+    let centre = vanishing::camera_centre(placing, fit.room.focal_px, principal, &fit.room.camera_from_room)?;
     let sigma = vanishing::camera_centre_sigma(placing, fit, principal, sigma_px)?;
     let grid_from_camera = Isometry3::from_parts(
         Translation3::from(centre),
-        UnitQuaternion::from_rotation_matrix(&fit.camera_from_room.inverse()),
+        UnitQuaternion::from_rotation_matrix(&fit.room.camera_from_room.inverse()),
     );
     let world_from_camera = world_from_grid() * grid_from_camera;
     // Turns are known in the camera frame; in the world's they mix.

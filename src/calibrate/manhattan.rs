@@ -2,17 +2,18 @@
 //! points that explain most of them (Coughlan and Yuille 1999), drawn at random from the segments themselves.
 
 use super::Problem;
-use super::vanishing::{self, Edge, EdgeFit, Room, RoomEdges, StatedFocal, edge_residual};
+use super::vanishing::{Edge, EdgeFit, Room, RoomEdges, StatedFocal, Weighed};
 use crate::least_squares::Loss;
 use nalgebra::{Matrix3, Point2, Rotation3, Vector2, Vector3};
 use rand::rngs::SmallRng;
 use rand::{Rng, SeedableRng};
 use rayon::prelude::*;
+use std::f64::consts::PI;
 
-/// Accuracy of a segment's end, px: the scale of the robust loss.
-pub const SEGMENT_SIGMA_PX: f64 = 0.7;
+/// Accuracy of a segment's end, px.
+const SEGMENT_SIGMA_PX: f64 = 0.5;
 /// Turn of a segment against its direction in the room that has nothing to do with its length, rad.
-const DIRECTION_SIGMA: f64 = 0.3 * std::f64::consts::PI / 180.0;
+const DIRECTION_SIGMA: f64 = 0.3 * PI / 180.0;
 /// Shortest segment, of the image's diagonal.
 const SHORTEST: f64 = 0.015;
 /// Share of segments that are edges along one of the directions, before any is looked at.
@@ -22,12 +23,17 @@ const TRIES: usize = 4000;
 const JUDGES: usize = 250;
 /// So many of the best are refined.
 const REFINED: usize = 6;
-/// A segment agrees with a vanishing point within so many standard deviations, at first and at last.
-const AGREE: [f64; 3] = [6.0, 3.0, 3.0];
+/// A smaller share of a segment is left out.
+const NEGLIGIBLE: f64 = 0.05;
+/// Turns of expectation and maximisation for each of these, and for the best of them.
+const TURNS: [usize; 2] = [3, 12];
+/// How far from right angles the directions of real walls are, rad.
+const SQUARE_SIGMA: f64 = 0.1 * PI / 180.0;
 /// Without a stated one the focal length is sought in this range, of the image's diagonal: 17 to 105 mm on 24 × 36 mm.
 const FOCAL: std::ops::Range<f64> = 0.4..2.5;
-/// Mean log-likelihood ratio of a judge below which chance explains the segments as well.
-const CHANCE: f64 = 0.25;
+/// Log-likelihood ratio of a segment, on average, and of all as if they were equally long, below which chance explains them as
+/// well: the best of so many rooms finds some agreement anywhere.
+const CHANCE: [f64; 2] = [0.25, 20.0];
 const SEED: u64 = 1;
 
 /// Edges found and the room that they fit.
@@ -62,7 +68,7 @@ struct Judge {
     normal: Vector3<f64>,
     /// Standard deviation of its direction, rad.
     sigma: f64,
-    /// Its length: long ones are rarely clutter.
+    /// Its squared length: long ones are rarely clutter.
     weight: f64,
 }
 
@@ -76,22 +82,21 @@ impl Judge {
             direction: (q - p) / length,
             normal: p.push(1.0).cross(&q.push(1.0)),
             sigma: DIRECTION_SIGMA.hypot(end),
-            weight: length,
+            weight: length * length,
         }
     }
 
-    /// Logarithm of how much likelier the segment is with these vanishing points than with any direction alike.
+    /// How much likelier the segment is as an edge towards this vanishing point than with any direction alike.
+    fn likelihood(&self, point: &Vector3<f64>) -> f64 {
+        let towards = point.xy() - self.middle * point.z;
+        let sine2 = self.direction.perp(&towards).powi(2) / towards.norm_squared();
+        (PI / 2.0).sqrt() / self.sigma * (-0.5 * sine2 / (self.sigma * self.sigma)).exp()
+    }
+
+    /// Logarithm of the same for all three, or none.
     fn evidence(&self, points: &[Vector3<f64>; 3]) -> f64 {
-        let within: f64 = points
-            .iter()
-            .map(|v| {
-                let towards = v.xy() - self.middle * v.z;
-                let sine2 = self.direction.perp(&towards).powi(2) / towards.norm_squared();
-                (-0.5 * sine2 / (self.sigma * self.sigma)).exp()
-            })
-            .sum();
-        let peak = (std::f64::consts::PI / 2.0).sqrt() / self.sigma;
-        (1.0 - PRIOR + PRIOR / 3.0 * peak * within).ln()
+        let sum: f64 = points.iter().map(|v| self.likelihood(v)).sum();
+        (1.0 - PRIOR + PRIOR / 3.0 * sum).ln()
     }
 }
 
@@ -128,15 +133,21 @@ pub fn find(
         })
         .collect();
     tried.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let judged = |room: Room, of: usize, turns| {
+        let (edges, fit) = refine(room, &segments[..of], centre, diagonal_px, stated, turns)?;
+        let scaled = Room { focal_px: fit.room.focal_px / diagonal_px, ..fit.room };
+        Some((evidence(&scaled, &judges[..of]), edges, fit))
+    };
     let refined = tried[..tried.len().min(REFINED)].par_iter().filter_map(|(_, room)| {
-        let start = Room { focal_px: room.focal_px * diagonal_px, ..*room };
-        let (edges, fit) = refine(start, &segments, centre, stated)?;
-        let scaled = Room { focal_px: fit.focal_px / diagonal_px, camera_from_room: fit.camera_from_room };
-        Some((evidence(&scaled, &judges), edges, fit))
+        judged(Room { focal_px: room.focal_px * diagonal_px, ..*room }, few.len(), TURNS[0])
     });
-    let best = refined.max_by(|a, b| a.0.total_cmp(&b.0));
+    let best = refined
+        .max_by(|a, b| a.0.total_cmp(&b.0))
+        .and_then(|(_, _, fit)| judged(fit.room, segments.len(), TURNS[1]));
     let (evidence, edges, fit) = best.ok_or_else(|| none(0))?;
-    if evidence < CHANCE {
+    let weights: f64 = judges.iter().map(|j| j.weight).sum();
+    let as_many = weights * weights / judges.iter().map(|j| j.weight * j.weight).sum::<f64>();
+    if evidence < CHANCE[0] || evidence * as_many < CHANCE[1] {
         return Err(none(edges.along.iter().map(Vec::len).sum()));
     }
     Ok(Found { edges, fit, segments: segments.len() })
@@ -145,11 +156,11 @@ pub fn find(
 /// A room from a few segments, long ones more likely: with a focal length two give one direction and a third another; without,
 /// two and two give two directions, which are orthogonal with one focal length. All lengths in units of the diagonal.
 fn draw(judges: &[Judge], stated: Option<(f64, f64)>, random: &mut SmallRng) -> Option<Room> {
-    let total: f64 = judges.iter().map(|j| j.weight).sum();
+    let total: f64 = judges.iter().map(|j| j.weight.sqrt()).sum();
     let mut normal = || {
         let mut left = random.random::<f64>() * total;
         let chosen = judges.iter().find(|j| {
-            left -= j.weight;
+            left -= j.weight.sqrt();
             left <= 0.0
         });
         chosen.unwrap_or(&judges[0]).normal
@@ -194,38 +205,56 @@ fn ordered(axes: [Vector3<f64>; 3]) -> Rotation3<f64> {
     Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[x, z.cross(&x), z]))
 }
 
-/// Takes the segments that agree and fits the room to them, in turn.
+/// Expectation maximisation: what share of each segment belongs to the direction that it agrees with best, and the room that
+/// fits the segments by these shares, in turn.
 fn refine(
     start: Room,
     segments: &[Edge],
     centre: Point2<f64>,
+    diagonal_px: f64,
     stated: Option<StatedFocal>,
+    turns: usize,
 ) -> Option<(RoomEdges, EdgeFit)> {
     let mut room = start;
     let mut last = None;
-    for limit in AGREE {
-        let edges = agreeing(&room, segments, centre, limit);
-        let fit =
-            vanishing::fit_from(&room, &edges, centre, SEGMENT_SIGMA_PX, stated, Loss::Cauchy(1.0)).ok()?;
-        room = Room { focal_px: fit.focal_px, camera_from_room: fit.camera_from_room };
+    for _ in 0..turns {
+        let (edges, along) = agreeing(&room, segments, centre, diagonal_px);
+        let weighed = Weighed { along, square_sigma: SQUARE_SIGMA, loss: Loss::Squares };
+        let fit = weighed.fit(room, centre, stated).ok()?;
+        room = fit.room;
         last = Some((edges, fit));
     }
     last
 }
 
-/// Segments by the direction that each agrees with best, pointing along it.
-fn agreeing(room: &Room, segments: &[Edge], centre: Point2<f64>, limit: f64) -> RoomEdges {
-    let points = [0, 1, 2].map(|k| room.vanishing_point(k, centre));
-    let mut edges = RoomEdges::default();
-    for segment in segments {
-        let miss = points.map(|v| edge_residual(&v, segment).abs() / SEGMENT_SIGMA_PX);
-        let best = (0..3).min_by(|a, b| miss[*a].total_cmp(&miss[*b])).unwrap_or(0);
-        if miss[best] < limit {
-            let [p, q] = *segment;
-            let v = points[best];
-            let along = (q - p).dot(&(v.xy() - nalgebra::center(&p, &q).coords * v.z));
-            edges.along[best].push(if along < 0.0 { [q, p] } else { [p, q] });
+/// Segments by the direction that each agrees with best, pointing along it: those that rather belong to it than not, and all
+/// with the square roots of their weights, 1/px.
+fn agreeing(
+    room: &Room,
+    segments: &[Edge],
+    centre: Point2<f64>,
+    diagonal_px: f64,
+) -> (RoomEdges, [Vec<(Edge, f64)>; 3]) {
+    let points = [0, 1, 2].map(|k| room.vanishing_point(k, Point2::origin()));
+    let scaled = points.map(|v| Vector3::new(v.x / diagonal_px, v.y / diagonal_px, v.z));
+    let (mut edges, mut weighed) = (RoomEdges::default(), <[Vec<(Edge, f64)>; 3]>::default());
+    let judges: Vec<Judge> = segments.iter().map(|s| Judge::new(s, centre, diagonal_px)).collect();
+    let mean = judges.iter().map(|j| j.weight).sum::<f64>() / judges.len().max(1) as f64;
+    for (segment, judge) in segments.iter().zip(&judges) {
+        let likelihoods = scaled.map(|v| judge.likelihood(&v));
+        let best = (0..3).max_by(|a, b| likelihoods[*a].total_cmp(&likelihoods[*b])).unwrap_or(0);
+        let share = PRIOR / 3.0 * likelihoods[best] / judge.evidence(&scaled).exp();
+        let [p, q] = *segment;
+        let (v, middle) = (points[best], nalgebra::center(&p, &q) - centre);
+        let turned = (q - p).dot(&(v.xy() - middle * v.z)) < 0.0;
+        let edge = if turned { [q, p] } else { [p, q] };
+        let sigma_px = SEGMENT_SIGMA_PX.hypot(DIRECTION_SIGMA * (q - p).norm() / 2f64.sqrt());
+        if share > NEGLIGIBLE {
+            weighed[best].push((edge, (share * judge.weight / mean).sqrt() / sigma_px));
+        }
+        if share > 0.5 {
+            edges.along[best].push(edge);
         }
     }
-    edges
+    (edges, weighed)
 }

@@ -7,6 +7,8 @@ pub mod pose;
 pub mod vanishing;
 
 mod lines;
+#[cfg(test)]
+mod manhattan_tests;
 mod problem;
 mod solve;
 #[cfg(test)]

@@ -39,16 +39,14 @@ pub enum Problem {
     },
     /// The vanishing points leave the focal length open.
     #[error(
-        "these vanishing points alone do not fix the focal length: it is known to {:.0} % (limit {:.0} %; condition \
-         number {condition:.0})",
-        100.0 * relative, 100.0 * limit
+        "these vanishing points alone do not fix the focal length: it is known to {:.0} %, and a degree between their \
+         directions changes it by {:.0} % (condition number {condition:.1})",
+        100.0 * relative, 100.0 * condition.to_radians()
     )]
     FocalOpen {
         /// σ / f.
         relative: f64,
-        /// Largest acceptable.
-        limit: f64,
-        /// Condition number of the fit.
+        /// Relative change by a departure from right angles, 1/rad.
         condition: f64,
     },
     /// No room is seen.

@@ -95,7 +95,7 @@ pub fn solve(evidence: &Evidence, settings: &config::Calibrate) -> Result<Soluti
         }
         (Err(problem), Some(Ok(fit))) => {
             warnings.push(format!("focal length from the vanishing lines, not from the grid: {problem}"));
-            intrinsics.focal_px = [fit.focal_px; 2];
+            intrinsics.focal_px = [fit.room.focal_px; 2];
             let source = match stated {
                 Some(stated) => {
                     warnings.extend(disagreement(&stated, marked.as_ref(), settings, &intrinsics));
@@ -103,7 +103,7 @@ pub fn solve(evidence: &Evidence, settings: &config::Calibrate) -> Result<Soluti
                 }
                 None => "vanishing_lines",
             };
-            (source, Some(fit.covariance[(0, 0)].max(0.0).sqrt()), None)
+            (source, Some(fit.focal_sigma_px()), None)
         }
         (Err(problem), lines) if evidence.stated_focal_px.is_some() => {
             warnings.push(format!("focal length as stated by EXIF or settings, unchecked: {problem}"));
@@ -207,14 +207,13 @@ fn disagreement(
     let centre = Point2::from(intrinsics.principal_point_px);
     let diagonal = f64::from(intrinsics.width_px).hypot(f64::from(intrinsics.height_px));
     let alone = vanishing::focal_from_edges(edges?, centre, diagonal, settings.mark_sigma_px).ok()?;
-    let (sigma, stated_sigma) =
-        (alone.covariance[(0, 0)].max(0.0).sqrt(), stated.relative_sigma * stated.focal_px);
-    let off = (alone.focal_px - stated.focal_px).abs() / sigma.hypot(stated_sigma);
+    let (sigma, stated_sigma) = (alone.focal_sigma_px(), stated.relative_sigma * stated.focal_px);
+    let off = (alone.room.focal_px - stated.focal_px).abs() / sigma.hypot(stated_sigma);
     (off > 2.0).then(|| {
         format!(
             "the vanishing lines alone give a focal length of {:.0} ± {sigma:.0} px, EXIF or settings state {:.0} ± \
              {stated_sigma:.0} px: they are combined by these accuracies",
-            alone.focal_px, stated.focal_px
+            alone.room.focal_px, stated.focal_px
         )
     })
 }
@@ -288,7 +287,7 @@ fn lines_alone(
 ) -> Result<PosedCamera, Problem> {
     let fit = edge_fit.ok_or(Problem::NoGridInPlate)?;
     // The orientation belongs to the focal length it was fitted with.
-    let intrinsics = Intrinsics { focal_px: [fit.focal_px; 2], ..intrinsics.clone() };
+    let intrinsics = Intrinsics { focal_px: [fit.room.focal_px; 2], ..intrinsics.clone() };
     let placing =
         match evidence.lines.filter(|lines| lines.origin.is_some() || settings.camera_height_m == 0.0) {
             Some(lines) => lines::placing(lines, &intrinsics)?,

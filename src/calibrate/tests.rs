@@ -36,7 +36,7 @@ fn focal_length_comes_from_two_or_three_directions() {
     for axes in [&[0, 1, 2][..], &[0, 1], &[0, 2]] {
         let fit =
             focal_from_edges(&edges([0.9, 0.6, 0.5], CENTRE, 0.0, axes), CENTRE, DIAGONAL, 0.5).unwrap();
-        assert!((fit.focal_px - 600.0).abs() < 0.01, "{axes:?}: {}", fit.focal_px);
+        assert!((fit.room.focal_px - 600.0).abs() < 0.01, "{axes:?}: {}", fit.room.focal_px);
     }
 }
 
@@ -44,8 +44,12 @@ fn focal_length_comes_from_two_or_three_directions() {
 fn noise_is_within_its_sigma() {
     let fit =
         focal_from_edges(&edges([0.9, 0.6, 0.5], CENTRE, 0.5, &[0, 1, 2]), CENTRE, DIAGONAL, 0.5).unwrap();
-    let sigma = fit.covariance[(0, 0)].sqrt();
-    assert!((fit.focal_px - 600.0).abs() < 4.0 * sigma && sigma < 30.0, "{} ± {sigma}", fit.focal_px);
+    let sigma = fit.focal_sigma_px();
+    assert!(
+        (fit.room.focal_px - 600.0).abs() < 4.0 * sigma && sigma < 30.0,
+        "{} ± {sigma}",
+        fit.room.focal_px
+    );
 }
 
 #[test]
@@ -53,9 +57,9 @@ fn an_off_centre_principal_point_must_be_told() {
     let centre = Point2::new(360.0, 220.0);
     let edges = edges([0.9, 0.6, 0.5], centre, 0.0, &[0, 1]);
     let told = focal_from_edges(&edges, centre, DIAGONAL, 0.5).unwrap();
-    assert!((told.focal_px - 600.0).abs() < 0.01);
+    assert!((told.room.focal_px - 600.0).abs() < 0.01);
     if let Ok(untold) = focal_from_edges(&edges, CENTRE, DIAGONAL, 0.5) {
-        assert!((untold.focal_px - 600.0).abs() > 1.0);
+        assert!((untold.room.focal_px - 600.0).abs() > 1.0);
     }
 }
 
@@ -87,7 +91,7 @@ fn an_outlier_is_resisted_and_named() {
     let mut marked = edges([0.9, 0.6, 0.5], CENTRE, 0.2, &[0, 1, 2]);
     marked.along[1][3][0].x += 25.0;
     let fit = focal_from_edges(&marked, CENTRE, DIAGONAL, 0.5).unwrap();
-    assert!((fit.focal_px / 600.0 - 1.0).abs() < 0.05, "{}", fit.focal_px);
+    assert!((fit.room.focal_px / 600.0 - 1.0).abs() < 0.05, "{}", fit.room.focal_px);
     assert_eq!((fit.worst.0, fit.worst.1), (1, 3));
 }
 
@@ -246,10 +250,10 @@ fn a_stated_focal_length_counts_by_its_accuracy() {
         let stated = StatedFocal { focal_px: 660.0, relative_sigma };
         fit_edges(&marked, CENTRE, DIAGONAL, 0.5, Some(stated)).unwrap()
     };
-    let alone = focal_from_edges(&marked, CENTRE, DIAGONAL, 0.5).unwrap().focal_px;
-    let (sure, unsure) = (with(1e-4).focal_px, with(10.0).focal_px);
+    let alone = focal_from_edges(&marked, CENTRE, DIAGONAL, 0.5).unwrap().room.focal_px;
+    let (sure, unsure) = (with(1e-4).room.focal_px, with(10.0).room.focal_px);
     assert!((sure / 660.0 - 1.0).abs() < 1e-3, "{sure}");
     assert!((unsure / alone - 1.0).abs() < 1e-3, "{unsure} {alone}");
-    let weighed = with(0.02).focal_px;
+    let weighed = with(0.02).room.focal_px;
     assert!(alone < weighed && weighed < 660.0, "{weighed}");
 }

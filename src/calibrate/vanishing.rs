@@ -17,8 +17,12 @@ pub struct RoomEdges {
 
 /// A vanishing point further away than this many image diagonals counts as infinitely far.
 const FAR: f64 = 50.0;
-/// A focal length less certain than this is refused.
+/// A focal length less certain than this is refused …
 const MAX_RELATIVE_SIGMA: f64 = 0.1;
+/// … and one that walls half a degree off the right angle would change by 9 %.
+const MAX_CONDITION: f64 = 10.0;
+/// Marked directions are at right angles, to this, rad.
+const EXACTLY_SQUARE: f64 = 1e-4;
 /// Robust threshold, in standard deviations of a mark.
 pub const ROBUST: f64 = 3.0;
 
@@ -61,21 +65,67 @@ fn tangents(v: &Vector3<f64>) -> [Vector3<f64>; 2] {
     [a, v.cross(&a)]
 }
 
-/// Focal length and orientation from marked edges.
+/// Focal length and orientation from edges.
 #[derive(Debug, Clone)]
 pub struct EdgeFit {
-    /// Focal length, px.
-    pub focal_px: f64,
-    /// The room's directions (x, y horizontal, z up) in the camera frame.
-    pub camera_from_room: Rotation3<f64>,
+    /// The room as the camera sees it.
+    pub room: Room,
     /// Covariance of focal length (px) and a turn in the camera frame (rad).
     pub covariance: DMatrix<f64>,
-    /// Condition number of the fit's Jacobian with columns of unit length.
+    /// By how much the focal length changes, as a share of it, where the room's directions depart from right angles by so many
+    /// rad: what tells how well the vanishing points fix it.
     pub condition: f64,
     /// Distance of an edge's ends from the fit, px.
     pub rms_px: f64,
     /// The worst edge: direction, number, residual in standard deviations.
     pub worst: (usize, usize, f64),
+}
+
+impl EdgeFit {
+    /// Standard deviation of the focal length, px.
+    pub fn focal_sigma_px(&self) -> f64 {
+        self.covariance[(0, 0)].max(0.0).sqrt()
+    }
+
+    /// Refuses a focal length that the edges leave open.
+    pub fn certain(self) -> Result<Self, Problem> {
+        let relative = self.focal_sigma_px() / self.room.focal_px;
+        if relative <= MAX_RELATIVE_SIGMA && self.condition <= MAX_CONDITION {
+            Ok(self)
+        } else {
+            Err(Problem::FocalOpen { relative, condition: self.condition })
+        }
+    }
+}
+
+/// Focal length and orientation of a camera in a room.
+#[derive(Debug, Clone, Copy)]
+pub struct Room {
+    /// Focal length, px.
+    pub focal_px: f64,
+    /// The room's directions (x, y horizontal, z up) in the camera frame.
+    pub camera_from_room: Rotation3<f64>,
+}
+
+impl Room {
+    /// The vanishing point of direction `k`, homogeneous, px.
+    pub fn vanishing_point(&self, k: usize, centre: Point2<f64>) -> Vector3<f64> {
+        self.seen(&Vector3::ith(k, 1.0), centre)
+    }
+
+    fn seen(&self, direction: &Vector3<f64>, centre: Point2<f64>) -> Vector3<f64> {
+        let d = self.camera_from_room * direction;
+        Vector3::new(self.focal_px * d.x + centre.x * d.z, self.focal_px * d.y + centre.y * d.z, d.z)
+    }
+}
+
+/// A focal length known from elsewhere.
+#[derive(Debug, Clone, Copy)]
+pub struct StatedFocal {
+    /// Focal length, px.
+    pub focal_px: f64,
+    /// Its standard deviation as a share of it.
+    pub relative_sigma: f64,
 }
 
 /// Fits focal length and orientation to all edges at once. The principal point is taken as known.
@@ -86,15 +136,6 @@ pub fn focal_from_edges(
     sigma_px: f64,
 ) -> Result<EdgeFit, Problem> {
     fit_edges(edges, centre, diagonal_px, sigma_px, None)
-}
-
-/// A focal length known from elsewhere.
-#[derive(Debug, Clone, Copy)]
-pub struct StatedFocal {
-    /// Focal length, px.
-    pub focal_px: f64,
-    /// Its standard deviation as a share of it.
-    pub relative_sigma: f64,
 }
 
 /// As [`focal_from_edges`]; a stated focal length counts as one more observation, by its standard deviation.
@@ -115,94 +156,81 @@ pub fn fit_edges(
         let found = edges.along.iter().map(Vec::len).max().unwrap_or(0);
         return Err(Problem::FewEdges { found });
     }
-    let start = match stated {
+    let focal_px = match stated {
         Some(stated) => stated.focal_px,
         None => start_from_points(&points, diagonal_px)?,
     };
-    let rotation = orientation(&points, &edges.along, centre, diagonal_px, start)?;
-    let fit = fit_from(
-        &Room { focal_px: start, camera_from_room: rotation },
-        edges,
-        centre,
-        sigma_px,
-        stated,
-        Loss::Huber(ROBUST),
-    )?;
-    fit.certain()
+    let camera_from_room = orientation(&points, &edges.along, centre, diagonal_px, focal_px)?;
+    let weighed = edges.along.each_ref().map(|edges| edges.iter().map(|e| (*e, 1.0 / sigma_px)).collect());
+    let fit = Weighed { along: weighed, square_sigma: EXACTLY_SQUARE, loss: Loss::Huber(ROBUST) };
+    fit.fit(Room { focal_px, camera_from_room }, centre, stated)?.certain()
 }
 
-/// Where a fit starts.
-#[derive(Debug, Clone, Copy)]
-pub struct Room {
-    /// Focal length, px.
-    pub focal_px: f64,
-    /// The room's directions in the camera frame.
-    pub camera_from_room: Rotation3<f64>,
+/// Edges with the square root of what each counts, 1/px, for a fit from a start near enough.
+#[derive(Debug, Clone)]
+pub struct Weighed {
+    /// By direction.
+    pub along: [Vec<(Edge, f64)>; 3],
+    /// Standard deviation of the room's directions from right angles, rad.
+    pub square_sigma: f64,
+    /// How residuals count.
+    pub loss: Loss,
 }
 
-impl Room {
-    /// The vanishing point of direction `k`, homogeneous, px.
-    pub fn vanishing_point(&self, k: usize, centre: Point2<f64>) -> Vector3<f64> {
-        let d = self.camera_from_room * Vector3::ith(k, 1.0);
-        Vector3::new(self.focal_px * d.x + centre.x * d.z, self.focal_px * d.y + centre.y * d.z, d.z)
-    }
-}
-
-impl EdgeFit {
-    /// Refuses a focal length that the edges leave open.
-    pub fn certain(self) -> Result<Self, Problem> {
-        let relative = self.covariance[(0, 0)].max(0.0).sqrt() / self.focal_px;
-        if relative <= MAX_RELATIVE_SIGMA {
-            Ok(self)
-        } else {
-            Err(Problem::FocalOpen { relative, limit: MAX_RELATIVE_SIGMA, condition: self.condition })
+impl Weighed {
+    /// Focal length and orientation; each direction may depart from the right angle as far as its deviation allows.
+    pub fn fit(
+        &self,
+        start: Room,
+        centre: Point2<f64>,
+        stated: Option<StatedFocal>,
+    ) -> Result<EdgeFit, Problem> {
+        let room = |x: &DVector<f64>| Room {
+            focal_px: start.focal_px * x[0].exp(),
+            camera_from_room: Rotation3::new(Vector3::new(x[1], x[2], x[3])) * start.camera_from_room,
+        };
+        // Direction k leans by x[4 + 2k] and x[5 + 2k] towards the other two.
+        let leaning = |x: &DVector<f64>, k: usize| {
+            let mut d = Vector3::ith(k, 1.0);
+            (d[(k + 1) % 3], d[(k + 2) % 3]) = (x[4 + 2 * k], x[5 + 2 * k]);
+            d
+        };
+        let residuals = |x: &DVector<f64>| {
+            let room = room(x);
+            let edges = self.along.iter().enumerate().flat_map(|(k, edges)| {
+                let v = room.seen(&leaning(x, k), centre);
+                edges.iter().map(move |(edge, weight)| edge_residual(&v, edge) * weight)
+            });
+            let stated = stated.map(|s| (room.focal_px / s.focal_px).ln() / s.relative_sigma);
+            let square = (4..10).map(|k| x[k] / self.square_sigma);
+            Some(DVector::from_vec(square.chain(stated).chain(edges).collect()))
+        };
+        let lean = "a direction's departure from the right angle";
+        let names = ["the focal length", "the tilt", "the tilt", "the roll"].into_iter().chain([lean; 6]);
+        let names: Vec<String> = names.map(String::from).collect();
+        let fit = least_squares::minimise(&residuals, &names, &[0.0; 10], self.loss)?;
+        let room = room(&fit.parameters);
+        let mut covariance = fit.covariance.view((0, 0), (4, 4)).clone_owned();
+        covariance.row_mut(0).scale_mut(room.focal_px);
+        covariance.column_mut(0).scale_mut(room.focal_px);
+        let others = 6 + usize::from(stated.is_some());
+        let of_edges = fit.residuals.rows(others, fit.residuals.len() - others);
+        let misses =
+            self.along.iter().flatten().zip(of_edges.iter()).map(|((_, weight), r)| (r / weight).powi(2));
+        let worst = of_edges.iamax();
+        let (mut axis, mut number) = (0, worst);
+        while number >= self.along[axis].len() {
+            number -= self.along[axis].len();
+            axis += 1;
         }
+        Ok(EdgeFit {
+            room,
+            covariance,
+            condition: fit.gain.view((0, 0), (1, 6)).norm() / self.square_sigma,
+            rms_px: (misses.sum::<f64>() / of_edges.len().max(1) as f64).sqrt(),
+            worst: (axis, number, of_edges[worst].abs()),
+        })
     }
-}
-
-/// The fit from a start near enough.
-pub fn fit_from(
-    start: &Room,
-    edges: &RoomEdges,
-    centre: Point2<f64>,
-    sigma_px: f64,
-    stated: Option<StatedFocal>,
-    loss: Loss,
-) -> Result<EdgeFit, Problem> {
-    let room = |x: &DVector<f64>| Room {
-        focal_px: start.focal_px * x[0].exp(),
-        camera_from_room: Rotation3::new(Vector3::new(x[1], x[2], x[3])) * start.camera_from_room,
-    };
-    let residuals = |x: &DVector<f64>| {
-        let room = room(x);
-        let all = edges.along.iter().enumerate().flat_map(|(k, edges)| {
-            let v = room.vanishing_point(k, centre);
-            edges.iter().map(move |e| edge_residual(&v, e) / sigma_px)
-        });
-        let stated = stated.map(|s| (room.focal_px / s.focal_px).ln() / s.relative_sigma);
-        Some(DVector::from_vec(all.chain(stated).collect()))
-    };
-    let names = ["the focal length", "the tilt", "the tilt", "the roll"].map(String::from);
-    let fit = least_squares::minimise(&residuals, &names, &[0.0; 4], loss)?;
-    let Room { focal_px, camera_from_room } = room(&fit.parameters);
-    let mut covariance = fit.covariance.clone();
-    covariance.row_mut(0).scale_mut(focal_px);
-    covariance.column_mut(0).scale_mut(focal_px);
-    let of_edges = fit.residuals.rows(0, fit.residuals.len() - usize::from(stated.is_some()));
-    let worst = of_edges.iamax();
-    let (mut axis, mut number) = (0, worst);
-    while number >= edges.along[axis].len() {
-        number -= edges.along[axis].len();
-        axis += 1;
-    }
-    Ok(EdgeFit {
-        focal_px,
-        camera_from_room,
-        covariance,
-        condition: fit.condition,
-        rms_px: of_edges.norm() / (of_edges.len().max(1) as f64).sqrt() * sigma_px,
-        worst: (axis, number, fit.residuals[worst].abs()),
-    })
 }
 
 /// f² = −v · v′ with v relative to the principal point, from the pair of finite vanishing points that gives it best.
@@ -340,7 +368,7 @@ pub fn camera_centre_sigma(
     let at = |x: &[f64; 10]| {
         let moved = placing.shifted(&[4, 6, 8].map(|k| Vector2::new(x[k], x[k + 1])));
         let turn = Rotation3::new(Vector3::new(x[1], x[2], x[3]));
-        camera_centre(&moved, fit.focal_px + x[0], centre, &(turn * fit.camera_from_room))
+        camera_centre(&moved, fit.room.focal_px + x[0], centre, &(turn * fit.room.camera_from_room))
     };
     let mut jacobian = DMatrix::zeros(3, 10);
     for k in 0..10 {

@@ -95,8 +95,8 @@ pose = "vanishing_lines"
 "#)],
             "calibrate",
             1,
-            "finding lens and pose of plate_000.jpg: a pose from vanishing lines alone needs the marks `origin` and `scale`",
-            "mark `origin` and `scale` under [vanishing_lines]",
+            "finding lens and pose of plate_000.jpg: a pose from vanishing lines alone needs the marks `origin` and `scale`, or the camera's height",
+            "mark `origin` and `scale` under [vanishing_lines], or set `calibrate.camera_height_m`",
         ),
         case(
             "mark is infinite",
