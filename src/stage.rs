@@ -27,51 +27,96 @@ pub struct Stage {
     pub version: u32,
     /// Stages whose artefacts it reads.
     pub reads: &'static [&'static str],
+    /// Settings of other stages that it goes by, too: tables of `pipeline.toml`, or keys of them.
+    pub settings: &'static [&'static str],
     /// What it does, for `--help`.
     pub about: &'static str,
 }
 
+impl Stage {
+    /// All settings that it goes by, its own table first.
+    pub fn all_settings(&self) -> Vec<&'static str> {
+        std::iter::once(self.name).chain(self.settings.iter().copied()).collect()
+    }
+}
+
 /// All stages in running order.
 pub const STAGES: &[Stage] = &[
-    Stage { name: "ingest", version: 2, reads: &[], about: "read photographs and EXIF, sort them by role" },
-    Stage { name: "response", version: 2, reads: &["ingest"], about: "fit the camera response curve" },
-    Stage { name: "merge", version: 3, reads: &["ingest", "response"], about: "merge the plate's exposures" },
-    Stage { name: "calibrate", version: 1, reads: &["ingest"], about: "find lens and camera poses" },
+    Stage {
+        name: "ingest",
+        version: 2,
+        reads: &[],
+        settings: &["calibrate.inner_corners"],
+        about: "read photographs and EXIF, sort them by role",
+    },
+    Stage {
+        name: "response",
+        version: 2,
+        reads: &["ingest"],
+        settings: &[],
+        about: "fit the camera response curve",
+    },
+    Stage {
+        name: "merge",
+        version: 3,
+        reads: &["ingest", "response"],
+        settings: &["response.exposures_from_pixels"],
+        about: "merge the plate's exposures",
+    },
+    Stage {
+        name: "calibrate",
+        version: 1,
+        reads: &["ingest"],
+        settings: &[],
+        about: "find lens and camera poses",
+    },
     Stage {
         name: "probe",
         version: 3,
         reads: &["ingest", "response", "calibrate"],
+        settings: &["response.exposures_from_pixels", "merge", "calibrate"],
         about: "merge the probe's exposures, find the ball, unwrap it",
     },
     Stage {
         name: "model",
         version: 1,
         reads: &["ingest", "calibrate", "probe"],
+        settings: &["calibrate.thickness_m"],
         about: "fit primitives to the marks",
     },
     Stage {
         name: "illuminate",
         version: 1,
         reads: &["merge", "calibrate", "probe", "model"],
+        settings: &[],
         about: "carry the probe's radiance onto a patch mesh",
     },
-    Stage { name: "irradiance", version: 2, reads: &["illuminate"], about: "build the irradiance volume" },
+    Stage {
+        name: "irradiance",
+        version: 2,
+        reads: &["illuminate"],
+        settings: &["calibrate.thickness_m", "probe.support_m"],
+        about: "build the irradiance volume",
+    },
     Stage {
         name: "transfer",
         version: 3,
         reads: &["calibrate", "model", "illuminate"],
+        settings: &[],
         about: "radiance transfers from sources to receivers",
     },
     Stage {
         name: "render",
         version: 3,
         reads: &["ingest", "response", "merge", "calibrate", "model", "illuminate", "irradiance", "transfer"],
+        settings: &[],
         about: "shade the object, evaluate the shadow method",
     },
     Stage {
         name: "composite",
         version: 2,
         reads: &["ingest", "response", "merge", "render"],
+        settings: &["render.path"],
         about: "put object and shadow into the plate",
     },
     Stage {
@@ -90,6 +135,7 @@ pub const STAGES: &[Stage] = &[
             "render",
             "composite",
         ],
+        settings: &["composite.exposure_ev"],
         about: "judge the result against a reference",
     },
 ];
@@ -122,7 +168,7 @@ pub struct Manifest {
     pub stage_version: u32,
     /// Version of insitu.
     pub program: String,
-    /// Settings used.
+    /// Settings used, by table or key.
     pub settings: serde_json::Value,
     /// What was read, by path relative to the settings file.
     pub inputs: BTreeMap<String, Input>,
@@ -140,7 +186,7 @@ pub struct Manifest {
 
 impl JsonArtefact for Manifest {
     const FORMAT: &'static str = "insitu-stage";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
 }
 
 /// Name of the manifest in a stage's folder.
@@ -326,7 +372,7 @@ pub fn run(
         stage: name.into(),
         stage_version: stage.version,
         program: env!("CARGO_PKG_VERSION").into(),
-        settings: workspace.pipeline.table(name),
+        settings: workspace.pipeline.settings(&stage.all_settings()),
         inputs: context.inputs.take(),
         outputs: digest_folder(&part)?,
         wall_s: started.elapsed().as_secs_f64(),

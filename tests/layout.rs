@@ -18,6 +18,10 @@ fn every_stage_has_a_program_a_table_and_earlier_reads() {
         assert!(root().join(format!("stages/{}.rs", stage.name)).exists(), "{}", stage.name);
         assert!(manifest.contains(&format!("name = \"insitu-{}\"", stage.name)), "{}", stage.name);
         assert!(settings[stage.name].is_object(), "{} has no settings table", stage.name);
+        for name in stage.settings {
+            let value = name.split('.').try_fold(&settings, |value, key| value.get(key));
+            assert!(value.is_some(), "{} goes by {name}, which is no setting", stage.name);
+        }
         for read in stage.reads {
             assert!(
                 STAGES[..i].iter().any(|s| s.name == *read),

@@ -64,6 +64,24 @@ fn inputs_settings_and_outputs_make_stale() {
 }
 
 #[test]
+fn settings_of_another_stage_make_stale_the_stages_that_go_by_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut workspace = workspace(folder.path());
+    let state = |workspace: &Workspace, name| stage::state(workspace, stage::find(name).unwrap());
+    for name in ["merge", "probe", "calibrate"] {
+        stage::run(&workspace, name, &PRINTER(), |_| Ok(())).unwrap();
+    }
+    workspace.pipeline.merge.clip = 0.9;
+    workspace.pipeline.response.exposures_from_pixels = false;
+    workspace.pipeline.response.samples = 5;
+    let merge = "setting merge.clip, response.exposures_from_pixels changed";
+    assert_eq!(state(&workspace, "merge"), State::Stale(merge.into()));
+    let probe = "setting response.exposures_from_pixels, merge.clip changed";
+    assert_eq!(state(&workspace, "probe"), State::Stale(probe.into()));
+    assert_eq!(state(&workspace, "calibrate"), State::Fresh);
+}
+
+#[test]
 fn a_failure_keeps_the_earlier_result() {
     let folder = tempfile::tempdir().unwrap();
     let workspace = workspace(folder.path());

@@ -46,9 +46,11 @@ impl Pipeline {
         Err(Error::Settings { file: file.to_path_buf(), line, column, problem, hint })
     }
 
-    /// The table of a stage, as it enters the stage's digest.
-    pub fn table(&self, stage: &str) -> serde_json::Value {
-        serde_json::to_value(self).map(|v| v[stage].clone()).unwrap_or_default()
+    /// Some of its tables and keys (`table.key`), as they enter a stage's digest.
+    pub fn settings(&self, names: &[&str]) -> serde_json::Value {
+        let whole = serde_json::to_value(self).unwrap_or_default();
+        let of = |name: &str| name.split('.').fold(&whole, |value, key| &value[key]).clone();
+        names.iter().map(|name| (name.to_string(), of(name))).collect()
     }
 }
 

@@ -28,9 +28,9 @@ pub fn state(workspace: &Workspace, stage: &Stage) -> State {
             manifest.program, manifest.stage_version
         ));
     }
-    let settings = workspace.pipeline.table(stage.name);
+    let settings = workspace.pipeline.settings(&stage.all_settings());
     if manifest.settings != settings {
-        return State::Stale(changed_settings(stage.name, &manifest.settings, &settings));
+        return State::Stale(changed_settings(stage, &manifest.settings, &settings));
     }
     for (key, recorded) in &manifest.inputs {
         let path = workspace.base.join(key);
@@ -58,8 +58,15 @@ pub fn state(workspace: &Workspace, stage: &Stage) -> State {
     }
 }
 
-fn changed_settings(stage: &str, before: &Value, now: &Value) -> String {
-    let keys = now.as_object().map(|o| o.keys().cloned().collect::<Vec<_>>()).unwrap_or_default();
-    let changed: Vec<_> = keys.into_iter().filter(|k| before[k] != now[k]).collect();
-    format!("setting {stage}.{} changed", changed.join(", "))
+fn changed_settings(stage: &Stage, before: &Value, now: &Value) -> String {
+    let of = |name: &'static str| match now[name].as_object() {
+        Some(table) => {
+            let changed = table.keys().filter(|k| before[name][*k] != now[name][*k]);
+            changed.map(|k| format!("{name}.{k}")).collect()
+        }
+        None if before[name] != now[name] => vec![name.to_string()],
+        None => Vec::new(),
+    };
+    let changed: Vec<String> = stage.all_settings().into_iter().flat_map(of).collect();
+    format!("setting {} changed", changed.join(", "))
 }
