@@ -75,6 +75,8 @@ pub enum Role {
     Probe,
     /// The printed grid from many sides, for inner orientation.
     Grid,
+    /// A surface of even brightness, for the vignetting of the lens.
+    Flat,
     /// Frames of a film.
     Frames,
 }
@@ -128,6 +130,8 @@ settings! {
         samples: usize = 1000,
         /// Weight λ of the squared second differences of ln exposure, where the samples' mean weight is 1 a level.
         smoothness: f64 = 1000.0,
+        /// Vignetting a, b, c of 1 + a r² + b r⁴ + c r⁶, r in half diagonals; zeros for none or that of role `flat`.
+        vignetting: [f64; 3] = [0.0; 3],
         /// Seed of the order in which equally good sample positions are taken, and of the band.
         seed: u64 = 0,
     }

@@ -4,10 +4,11 @@ use insitu::artefact::{exr, json, remake};
 use insitu::composite::{Composite, composite, net, picture, view, write_png};
 use insitu::error::{Context as _, Error, Result};
 use insitu::exposure::{self, Capture, Photograph};
-use insitu::image::{CodeImage, RadianceImage};
+use insitu::image::{CodeImage, Image, Radiance, RadianceImage};
 use insitu::render::Layer;
 use insitu::response::Response;
 use insitu::stage::Context;
+use std::borrow::Cow;
 
 fn main() -> std::process::ExitCode {
     insitu::cli::stage_main("composite", |ctx| {
@@ -23,7 +24,9 @@ fn main() -> std::process::ExitCode {
         let display = |frame: &Frame| match &photograph {
             Photograph::Codes(codes) => {
                 let shadowed = frame.shadowed.as_ref();
-                picture(codes, shadowed, &plate, &frame.result.radiance, &frame.object, encode)
+                let (before, after) =
+                    (behind_lens(&plate, &response), behind_lens(&frame.result.radiance, &response));
+                picture(codes, shadowed, &before, &after, &frame.object, encode)
                     .doing("mapping the picture back through the response")
             }
             Photograph::Linear(_) => Ok(view(&frame.result.radiance, ev, encode)),
@@ -52,6 +55,16 @@ fn main() -> std::process::ExitCode {
         };
         write_png(&ctx.output("plate.png"), &before)
     })
+}
+
+/// Light as it falls on the sensor: with the vignetting that merging took away.
+fn behind_lens<'a>(image: &'a RadianceImage, response: &Response) -> Cow<'a, RadianceImage> {
+    let Some(lens) = &response.vignetting else { return Cow::Borrowed(image) };
+    let size = image.size();
+    Cow::Owned(Image::from_fn(size.0, size.1, |x, y| {
+        let (share, _) = lens.of_pixel(x, y, size);
+        Radiance(image.at(x, y).0.map(|v| v * share))
+    }))
 }
 
 /// The plate with the layers of a placement in it.

@@ -1,10 +1,11 @@
 //! Stage `evaluate`: figures and report.
 
-use insitu::artefact::{exr, json, remake};
+use insitu::artefact::exr::{self, Planes};
+use insitu::artefact::{json, remake};
 use insitu::calibrate::Cameras;
 use insitu::error::{Context as _, Error, FileContext, Result};
 use insitu::evaluate::gallery::{Gallery, gallery};
-use insitu::evaluate::radiometry;
+use insitu::evaluate::radiometry::{self, Merging};
 use insitu::evaluate::references::{read_reference, read_truth};
 use insitu::evaluate::{Comparison, Measured, Ours, Page, Reference, Report, check_bounds, compare, page};
 use insitu::exposure::Capture;
@@ -19,7 +20,8 @@ fn main() -> std::process::ExitCode {
         check_bounds(&ctx.pipeline.evaluate.bounds)?;
         let capture: Capture = json::read(&ctx.artefact("ingest", "capture.json")?)?;
         let response: Response = json::read(&ctx.artefact("response", "response.json")?)?;
-        let (plate, clipped) = read_plate(ctx)?;
+        let merging = read_merging(ctx)?;
+        let (plate, clipped) = plate_of(ctx, &merging.plate)?;
         let composite = exr::read_radiance(&ctx.artefact("composite", "augmented.exr")?)?;
         let path = ctx.artefact("render", "object.exr")?;
         let object = Layer::from_planes(&exr::read(&path)?).ok_or_else(|| {
@@ -43,15 +45,24 @@ fn main() -> std::process::ExitCode {
         };
         let compared = reference.as_ref().zip(comparison.as_ref());
         let notes = judge_stages(ctx, &response, &ours, compared, &mut measured)?;
-        let sections = vec![radiometry::section(&response, ctx.manifest("merge").ok().as_ref())];
+        let sections = vec![radiometry::section(&response, Some(&merging))?];
         write(ctx, &measured, gallery(&ours, comparison.as_ref(), encode), sections, notes)
     })
 }
 
+/// What stage `merge` left.
+fn read_merging(ctx: &Context) -> Result<Merging> {
+    let residuals = match ctx.has_artefact("merge", "residuals.exr") {
+        true => Some(exr::read(&ctx.artefact("merge", "residuals.exr")?)?),
+        false => None,
+    };
+    let plate = exr::read(&ctx.artefact("merge", "plate.exr")?)?;
+    Ok(Merging { manifest: ctx.manifest("merge")?, residuals, plate })
+}
+
 /// The merged plate and where it is clipped.
-fn read_plate(ctx: &Context) -> Result<(RadianceImage, Image<bool>)> {
+fn plate_of(ctx: &Context, planes: &Planes) -> Result<(RadianceImage, Image<bool>)> {
     let path = ctx.artefact("merge", "plate.exr")?;
-    let planes = exr::read(&path)?;
     let refuse = || Error::file("reading the plate", &path, "lacks R, G, B or clipped", remake(&path));
     let clipped = planes.plane("clipped").ok_or_else(refuse)?.iter().map(|c| *c > 0.5).collect();
     let clipped = Image::from_pixels(planes.width, planes.height, clipped);

@@ -6,7 +6,7 @@ use insitu::calibrate::Cameras;
 use insitu::camera::Camera;
 use insitu::config::{ProbeCamera, Role};
 use insitu::error::{Context as _, Result};
-use insitu::exposure::{self, Capture, Photo};
+use insitu::exposure::Capture;
 use insitu::merge::Merged;
 use insitu::probe::consistency::Surface;
 use insitu::probe::{ProbeFit, Problem, clipped, exposures, find, marked, unwrap, view};
@@ -17,7 +17,9 @@ fn main() -> std::process::ExitCode {
     insitu::cli::stage_main("probe", |ctx| {
         let (settings, grid) = (&ctx.pipeline.probe, &ctx.pipeline.calibrate);
         let capture: Capture = json::read(&ctx.artefact("ingest", "capture.json")?)?;
-        let merged = merged(ctx, &capture)?;
+        let response: Response = json::read(&ctx.artefact("response", "response.json")?)?;
+        response.check().doing("reading the response")?;
+        let merged = exposures::merged(ctx, &capture, &response)?;
         exr::write(&ctx.output("probe.exr"), &merged.planes(), exr::Kind::Picture)?;
         let cameras: Cameras = json::read(&ctx.artefact("calibrate", "cameras.json")?)?;
         let view = view::find(&merged.radiance, &cameras, settings, grid).doing(match settings.camera {
@@ -58,34 +60,6 @@ fn main() -> std::process::ExitCode {
         json::write(&ctx.output("probe.json"), &fit)?;
         exr::write(&ctx.output("environment.exr"), &out.environment.to_planes(), exr::Kind::LatLong)
     })
-}
-
-/// All photographs of the probe as one picture in plate units.
-fn merged(ctx: &Context, capture: &Capture) -> Result<Merged> {
-    let response: Response = json::read(&ctx.artefact("response", "response.json")?)?;
-    response.check().doing("reading the response")?;
-    let unit = capture.plate_exposure()?;
-    let mut photos: Vec<&Photo> = capture.with_role(Role::Probe).collect();
-    if photos.is_empty() {
-        return Err(Problem::NoPicture)
-            .doing("looking for the mirror ball in the photographs of role `probe`");
-    }
-    if let Some(linear) = photos.iter().find(|p| p.linear) {
-        photos = vec![linear];
-    }
-    let bar = ctx.printer.progress("reading the probe", photos.len() as u64);
-    let mut photographs = Vec::new();
-    for photo in &photos {
-        photographs.push((exposure::load(ctx, capture, photo)?, photo.exposure.map_or(unit, |e| e.scale())));
-        bar.inc(1);
-    }
-    bar.finish_and_clear();
-    let (merged, shifts) = exposures::merge(photographs, &response, unit, &ctx.pipeline.merge)
-        .doing("merging the probe's exposures")?;
-    for (photo, [x, y]) in photos.iter().zip(shifts).filter(|(_, s)| *s != [0, 0]) {
-        ctx.warn(format!("{} lies {x}, {y} px beside the others: it is moved back", photo.file));
-    }
-    Ok(merged)
 }
 
 /// The ball where a person marked it, or else the one that stands on the surface under the grid.

@@ -105,6 +105,17 @@ pub fn world_from_grid() -> Isometry3<f64> {
     Isometry3::from_parts(Translation3::identity(), turn)
 }
 
+/// Longest side of the picture in which [`shows_grid`] looks, px.
+const GLANCE_PX: usize = 1300;
+
+/// Whether a photograph shows the grid, at a glance.
+pub fn shows_grid(codes: &CodeImage, settings: &config::Calibrate) -> bool {
+    let (width, height) = codes.size();
+    let step = width.max(height).div_ceil(GLANCE_PX).max(1);
+    let small = Image::from_fn(width / step, height / step, |x, y| *codes.at(x * step, y * step));
+    board::find(&grey(&small), settings).is_ok()
+}
+
 /// Pose of the camera that took a picture of the grid.
 pub fn grid_pose(
     image: &Image<u8>,

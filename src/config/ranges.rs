@@ -40,6 +40,7 @@ const RANGES: &[(&str, &str, Range)] = &[
     ("ingest", "focal_mm", Above(0.0, 10_000.0)),
     ("response", "samples", From(1.0, 100_000.0)),
     ("response", "smoothness", Above(0.0, 1e12)),
+    ("response", "vignetting", From(-2.0, 2.0)),
     ("response", "seed", From(0.0, 1e15)),
     ("merge", "full_well_electrons", From(0.0, 1e9)),
     ("merge", "read_noise_electrons", From(0.0, 1e6)),

@@ -1,6 +1,5 @@
 //! The program `insitu`: runs stages in order, says what is fresh, validates captures in batch, starts new ones.
 
-mod guess;
 pub(crate) mod live;
 mod new;
 pub(crate) mod run;

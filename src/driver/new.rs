@@ -1,7 +1,6 @@
 //! `insitu new`: a commented `pipeline.toml` for a folder of photographs. The worked example is the template; values are
 //! taken from the photographs' names and EXIF, and from a `capture.json` where the folder has one.
 
-use super::guess;
 use crate::config::{Pipeline, Role};
 use crate::error::{Error, FileContext, Result};
 use crate::exposure::{self, Header};
@@ -123,7 +122,13 @@ pub fn new(folder: &Path, printer: &Printer) -> Result<()> {
     }
     let sheet_path = folder.join("capture.json");
     let sheet = sheet_path.exists().then(|| CaptureSheet::read(&sheet_path)).transpose()?;
-    let names = exposure::list(folder)?;
+    let (names, unreadable): (Vec<String>, Vec<String>) =
+        exposure::list(folder)?.into_iter().partition(|name| exposure::is_readable(name.as_ref()));
+    if let Some(raw) = unreadable.first() {
+        printer.warn(&format!(
+            "{raw} and what else is a camera's RAW file are left out: insitu was built without the feature `raw`"
+        ));
+    }
     let roles = match &sheet {
         Some(sheet) => roles_of_sheet(sheet),
         None => {
@@ -139,7 +144,7 @@ pub fn new(folder: &Path, printer: &Printer) -> Result<()> {
         headers.insert(name.clone(), Header::read(&folder.join(name))?);
     }
     let named = !roles.is_empty();
-    let roles = if named { roles } else { guess::roles(&headers) };
+    let roles = if named { roles } else { guessed(folder, &headers)? };
     let mut document = describe(sheet.as_ref(), &roles, ".")?;
     if sheet.is_none() {
         fit_to_headers(&mut document, &roles, &headers);
@@ -150,7 +155,7 @@ pub fn new(folder: &Path, printer: &Printer) -> Result<()> {
             let time = h.time_s.map_or("no exposure".into(), |t| format!("{t} s"));
             format!("# {name}: {} x {} px, {time}\n", h.width_px, h.height_px)
         });
-        let text = format!("\n# Guessed from sizes and exposures, check:\n{}", list.collect::<String>());
+        let text = format!("\n# Guessed from content and exposures, check:\n{}", list.collect::<String>());
         if let Some(table) = document["ingest"]["roles"].as_table_mut() {
             table.decor_mut().set_prefix(text);
         }
@@ -171,6 +176,15 @@ pub fn new(folder: &Path, printer: &Printer) -> Result<()> {
     Ok(())
 }
 
+/// Roles by what the photographs show.
+fn guessed(folder: &Path, headers: &BTreeMap<String, Header>) -> Result<BTreeMap<Role, Vec<String>>> {
+    let grid = Pipeline::default().calibrate;
+    let look = |(name, header): (&String, &Header)| {
+        Ok((name.clone(), exposure::look(&folder.join(name), header.clone(), &grid)?))
+    };
+    Ok(exposure::guess(&headers.iter().map(look).collect::<Result<_>>()?))
+}
+
 /// What keeps these photographs from being used as they are.
 fn open_questions(
     named: bool,
@@ -180,7 +194,8 @@ fn open_questions(
     let mut questions = Vec::new();
     if !named {
         questions.push(
-            "the names tell no roles: they are guessed from sizes and exposures, check [ingest.roles]".into(),
+            "the names tell no roles: they are guessed from content and exposures, check [ingest.roles]"
+                .into(),
         );
     }
     if !roles.contains_key(&Role::Probe) {
@@ -272,6 +287,7 @@ pub fn roles_of_sheet(sheet: &CaptureSheet) -> BTreeMap<Role, Vec<String>> {
         "grid_with_probe" | "plate_with_grid" => Some(Role::PlateWithGrid),
         "probe" => Some(Role::Probe),
         "calib" | "grid" => Some(Role::Grid),
+        "flat" => Some(Role::Flat),
         "frames" => Some(Role::Frames),
         _ => None,
     };

@@ -72,7 +72,7 @@ pub fn page(page: &Page) -> Result<String> {
     if !page.maps.is_empty() {
         html += "<h2>Removed radiance</h2><div class=row>";
         for (caption, map) in &page.maps {
-            let _ = write!(html, "{}{}</figure>", figure(&map.image, caption)?, legend(map));
+            html += &mapped(map, caption)?;
         }
         html += "</div>";
     }
@@ -81,6 +81,11 @@ pub fn page(page: &Page) -> Result<String> {
     html += &stages_table(&page.stages);
     html += "</html>\n";
     Ok(html)
+}
+
+/// A map with its legend.
+pub(super) fn mapped(map: &ErrorMap, caption: &str) -> Result<String> {
+    Ok(format!("{}{}</figure>", figure(&map.image, caption)?, legend(map)))
 }
 
 fn figure(image: &CodeImage, caption: &str) -> Result<String> {

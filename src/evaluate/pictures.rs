@@ -1,8 +1,8 @@
 //! False colour.
 
-use crate::image::{Code, CodeImage, RadianceImage};
+use crate::image::{Code, CodeImage, Image, Radiance, RadianceImage};
 
-/// A map and the values at the ends of its legend, in plate units.
+/// A map and the values at the ends of its legend.
 #[derive(Debug, Clone)]
 pub struct ErrorMap {
     /// The picture.
@@ -32,6 +32,17 @@ pub fn removal_map(removed: &RadianceImage, range: f32) -> ErrorMap {
     ErrorMap { image: colour(removed, 0.0, range, SEQUENTIAL), low: 0.0, high: range, colours: SEQUENTIAL }
 }
 
+/// Stops that a frame says more than the merged picture: blue less, red more; the ends at ± `range`.
+pub fn residual_map(stops: &Image<f32>, range: f32) -> ErrorMap {
+    error_map(&stops.map(|v| Radiance([*v; 3])), range)
+}
+
+/// A count at each pixel, from 0 to the largest.
+pub fn count_map(counts: &Image<f32>) -> ErrorMap {
+    let most = counts.pixels().iter().copied().fold(1.0, f32::max);
+    removal_map(&counts.map(|v| Radiance([*v; 3])), most)
+}
+
 /// The magnitude that all but one in 200 non-zero luminances stay below; 1 for a black picture.
 pub fn range(image: &RadianceImage) -> f32 {
     let mut values: Vec<f32> =
@@ -55,7 +66,6 @@ fn colour(image: &RadianceImage, low: f32, high: f32, colours: &[[f32; 3]]) -> C
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::image::{Image, Radiance};
 
     #[test]
     fn no_error_is_white_and_signs_differ() {

@@ -32,6 +32,7 @@ pub fn assemble(
             focal_mm: header.focal_mm.or(settings.focal_mm),
             focal_35mm_mm: header.focal_35mm_mm,
             linear: header.linear,
+            raw: header.raw,
             camera: header.camera.clone(),
         });
     }
@@ -114,11 +115,17 @@ fn complete_exposures(capture: &mut Capture, warnings: &mut Vec<String>) -> Resu
     Ok(())
 }
 
-/// Aperture and speed must be known of all exposures or of none.
+/// Aperture and speed must be known of all exposures or of none, and one curve must serve all.
 fn comparable(capture: &Capture, headers: &BTreeMap<String, Header>) -> Result<(), Problem> {
     let lit = |p: &&Photo| matches!(p.role, Role::Plate | Role::Brackets | Role::Probe);
+    let coded = |p: &&Photo| p.role == Role::Flat || lit(p);
     let timed = |p: &Photo| Some((headers.get(&p.file).filter(|h| h.time_s.is_some())?, p.file.clone()));
     let known: Vec<(&Header, String)> = capture.images.iter().filter(lit).filter_map(timed).collect();
+    // A RAW file has the sRGB curve, a JPEG of the same camera one of its own.
+    let coded: Vec<&Photo> = capture.images.iter().filter(coded).filter(|p| !p.linear).collect();
+    if let (Some(raw), Some(other)) = (coded.iter().find(|p| p.raw), coded.iter().find(|p| !p.raw)) {
+        return Err(Problem::MixedRaw { raw: raw.file.clone(), other: other.file.clone() });
+    }
     let parts: [(_, Number); 2] = [("an f-number", |h| h.f_number), ("an ISO speed", |h| h.iso)];
     for (what, has) in parts {
         let with = known.iter().find(|(h, _)| has(h).is_some());
@@ -185,7 +192,7 @@ fn check_series(
 /// Whatever is put over the plate pixel by pixel must have its size.
 fn check_plate(capture: &Capture, warnings: &mut Vec<String>) -> Result<(), Problem> {
     let Some(plate) = capture.with_role(Role::Plate).next() else { return Err(Problem::NoPlate) };
-    for role in [Role::Brackets, Role::PlateWithGrid] {
+    for role in [Role::Brackets, Role::PlateWithGrid, Role::Flat] {
         capture.with_role(role).try_for_each(|other| same_size(role, plate, other))?;
     }
     let more = capture.with_role(Role::Plate).count() - 1;

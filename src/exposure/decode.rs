@@ -1,6 +1,7 @@
 //! Pixels of a photograph, turned upright.
 
 use super::header::{Header, supported};
+use super::raw;
 use super::{Photograph, Rows, Samples, Stored, no_codes};
 use crate::artefact::exr;
 use crate::error::{Error, FileContext, Result};
@@ -12,7 +13,7 @@ use std::path::Path;
 const DOING: &str = "decoding a photograph";
 const COPY_AGAIN: &str = "copy the file again from the camera, or leave it out of the roles";
 
-/// Decodes JPEG, PNG and TIFF of 8 or 16 bits to codes, Radiance HDR, OpenEXR and float TIFF to linear radiance. Grey
+/// Decodes JPEG, PNG and TIFF of 8 or 16 bits and cameras' RAW files to codes, Radiance HDR, OpenEXR and float TIFF to linear radiance. Grey
 /// is taken as equal R, G, B. EXIF orientation is applied.
 pub fn decode(path: &Path) -> Result<Photograph> {
     if is_exr(path) {
@@ -58,6 +59,13 @@ fn stored(image: DynamicImage, header: &Header) -> Stored {
 
 /// The whole picture with its header.
 fn upright(path: &Path) -> Result<(DynamicImage, Header)> {
+    let (mut image, header) = if raw::is_raw(path) { raw::developed(path)? } else { stored_picture(path)? };
+    image.apply_orientation(Orientation::from_exif(header.orientation).unwrap_or(Orientation::NoTransforms));
+    Ok((image, header))
+}
+
+/// The picture as its file holds it.
+fn stored_picture(path: &Path) -> Result<(DynamicImage, Header)> {
     let header = Header::read(path)?;
     let bytes = std::fs::read(path).at(DOING, path)?;
     let reader = ImageReader::new(std::io::Cursor::new(&bytes)).with_guessed_format().at(DOING, path)?;
@@ -71,10 +79,9 @@ fn upright(path: &Path) -> Result<(DynamicImage, Header)> {
             COPY_AGAIN,
         ));
     }
-    let mut image = reader
+    let image = reader
         .decode()
         .map_err(|e| Error::file(DOING, path, format!("damaged or cut short ({e})"), COPY_AGAIN))?;
-    image.apply_orientation(Orientation::from_exif(header.orientation).unwrap_or(Orientation::NoTransforms));
     opaque(&image, path)?;
     Ok((image, header))
 }

@@ -1,6 +1,7 @@
 //! What an image file says of itself before its pixels are decoded.
 
 use super::profile::foreign;
+use super::raw;
 use crate::error::{Error, FileContext, Result};
 use exif::{Exif, In, Tag, Value};
 use image::{ImageDecoder, ImageFormat, ImageReader};
@@ -20,6 +21,8 @@ pub struct Header {
     pub bits: u32,
     /// Holds linear radiance (EXR, HDR, float TIFF).
     pub linear: bool,
+    /// A camera's RAW file: its codes follow the sRGB curve exactly ([`super::raw`]).
+    pub raw: bool,
     /// EXIF orientation, 1 to 8; 1 is upright.
     pub orientation: u8,
     /// Exposure time, s.
@@ -50,6 +53,9 @@ impl Header {
         let file = File::open(path).at(DOING, path)?;
         if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("exr")) {
             return exr_header(path);
+        }
+        if raw::is_raw(path) {
+            return raw::header(path);
         }
         let damaged = |e: image::ImageError| {
             Error::file(

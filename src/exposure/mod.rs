@@ -5,24 +5,31 @@
 
 mod assemble;
 mod decode;
+mod guess;
 mod header;
 mod problem;
 mod profile;
+mod raw;
 mod roles;
 mod rows;
+mod views;
 
 pub use assemble::assemble;
 pub use decode::{decode, decode_stored};
+pub use guess::{Seen, guess, look};
 pub use header::{Header, header_digest};
 pub use problem::{Problem, role_name};
+pub use raw::is_readable;
 pub use roles::{Assignment, assign, derive, list, listing_digest};
-pub use rows::{Rows, Samples, Spooled, Stored, put_aside};
+pub use rows::{Room, Rows, Samples, Spooled, Stored};
+pub use views::Thumbnail;
 
 use crate::artefact::json::JsonArtefact;
 use crate::config::Role;
 use crate::error::{Error, Result};
 use crate::image::{CodeImage, RadianceImage};
 use crate::stage::Context;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -64,6 +71,9 @@ pub struct Photo {
     pub focal_35mm_mm: Option<f64>,
     /// Holds linear radiance (EXR, HDR) and not codes of a camera.
     pub linear: bool,
+    /// Developed from a camera's RAW file: its codes follow the sRGB curve.
+    #[serde(default)]
+    pub raw: bool,
     /// Maker and model of the camera.
     pub camera: Option<String>,
 }
@@ -173,12 +183,47 @@ pub fn load(ctx: &Context, capture: &Capture, photo: &Photo) -> Result<Photograp
     Ok(photograph)
 }
 
-/// The same for a photograph with codes, as its file holds them.
-pub fn load_stored(ctx: &Context, capture: &Capture, photo: &Photo) -> Result<Stored> {
-    let path = ctx.user_file(&capture.photos.join(&photo.file))?;
-    let stored = decode_stored(&path)?;
-    check_size(&path, photo, stored.size())?;
-    Ok(stored)
+/// Photographs that are decoded at a time, at most.
+const AT_ONCE: usize = 4;
+
+/// Decodes photographs with codes, as their files hold them, some at a time, and makes something of each; in their order.
+pub fn decode_each<T: Send>(
+    paths: &[PathBuf],
+    make: impl Fn(usize, Stored) -> Result<T> + Sync,
+    mut done: impl FnMut(),
+) -> Result<Vec<T>> {
+    let mut made = Vec::with_capacity(paths.len());
+    while made.len() < paths.len() {
+        let first = made.len();
+        let last = (first + rayon::current_num_threads().clamp(1, AT_ONCE)).min(paths.len());
+        let one = |i: usize| make(i, decode_stored(&paths[i])?);
+        let group: Vec<Result<T>> = (first..last).into_par_iter().map(one).collect();
+        for one in group {
+            made.push(one?);
+            done();
+        }
+    }
+    Ok(made)
+}
+
+/// The same for a stage: as [`load`].
+pub fn load_each<T: Send>(
+    ctx: &Context,
+    capture: &Capture,
+    photos: &[&Photo],
+    saying: &str,
+    make: impl Fn(&Photo, Stored) -> Result<T> + Sync,
+) -> Result<Vec<T>> {
+    let paths = photos.iter().map(|photo| ctx.user_file(&capture.photos.join(&photo.file)));
+    let paths = paths.collect::<Result<Vec<PathBuf>>>()?;
+    let bar = ctx.printer.progress(saying, photos.len() as u64);
+    let checked = |i: usize, stored: Stored| {
+        check_size(&paths[i], photos[i], stored.size())?;
+        make(photos[i], stored)
+    };
+    let made = decode_each(&paths, checked, || bar.inc(1));
+    bar.finish_and_clear();
+    made
 }
 
 fn check_size(path: &Path, photo: &Photo, (width, height): (usize, usize)) -> Result<()> {
@@ -207,6 +252,7 @@ mod tests {
             focal_mm: Some(20.0),
             focal_35mm_mm: Some(30.0),
             linear: false,
+            raw: false,
             camera: None,
         }
     }

@@ -73,6 +73,14 @@ pub enum Problem {
         /// What it has.
         profile: String,
     },
+    /// Some codes are of a RAW file, others are not.
+    #[error("{raw} is a camera's RAW file, {other} is none: no one response holds for both")]
+    MixedRaw {
+        /// A RAW file.
+        raw: String,
+        /// Another one.
+        other: String,
+    },
     /// Exposures that cannot be compared.
     #[error("{with} has {what}, {without} has none, so their exposures cannot be compared")]
     Mixed {
@@ -107,6 +115,9 @@ impl crate::error::Problem for Problem {
             Self::Profile { .. } => {
                 "develop it again as sRGB, all photographs alike: a conversion afterwards would mix the channels' responses"
                     .into()
+            }
+            Self::MixedRaw { .. } => {
+                "give plate, brackets and probe either RAW files or photographs that the camera developed".into()
             }
             Self::Mixed { what, without, .. } => {
                 let key = if *what == "an ISO speed" { "iso" } else { "f_number" };

@@ -1,6 +1,7 @@
 //! Which file is for what: names in the photo folder against the patterns of `[ingest.roles]`.
 
 use super::problem::{Problem, role_name};
+use super::raw::is_raw;
 use crate::config::Role;
 use crate::error::{Error, FileContext, Result};
 use std::collections::BTreeMap;
@@ -25,7 +26,7 @@ pub fn list(folder: &Path) -> Result<Vec<String>> {
                 continue;
             } else if path.is_dir() && prefix.is_empty() {
                 folders.push((format!("{file}/"), path));
-            } else if EXTENSIONS.contains(&extension.as_str()) && path.is_file() {
+            } else if (EXTENSIONS.contains(&extension.as_str()) || is_raw(&path)) && path.is_file() {
                 names.push(format!("{prefix}{file}"));
             }
         }
@@ -75,12 +76,13 @@ fn may_share(a: Role, b: Role) -> bool {
 
 /// Roles by the habit of naming files after them, for settings that say nothing.
 pub fn derive(names: &[String]) -> Assignment {
-    const HABITS: [(Role, &[&str]); 5] = [
+    const HABITS: [(Role, &[&str]); 6] = [
         (Role::PlateWithGrid, &["plate_with_grid", "grid_with_probe"]),
         (Role::Plate, &["plate"]),
         (Role::Brackets, &["bracket"]),
         (Role::Probe, &["probe", "ball"]),
         (Role::Grid, &["grid", "calib"]),
+        (Role::Flat, &["flat"]),
     ];
     let role_of = |file: &String| {
         let lower = file.to_lowercase();

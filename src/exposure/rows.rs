@@ -5,6 +5,7 @@ use std::fs::File;
 use std::io::{Result, Write};
 use std::ops::Range;
 use std::os::unix::fs::FileExt;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// A photograph whose rows are read when they are needed.
 pub trait Rows: Sync {
@@ -13,6 +14,11 @@ pub trait Rows: Sync {
 
     /// The rows of a range, which lies within the picture.
     fn rows(&self, range: Range<usize>) -> Result<CodeImage>;
+
+    /// Bits of a stored code, which tell how coarsely it is rounded.
+    fn bits(&self) -> u32 {
+        8
+    }
 }
 
 impl Rows for CodeImage {
@@ -65,6 +71,13 @@ impl Rows for Stored {
             Samples::Sixteen(s) => pixels(self.width, s[part].iter().map(|v| f32::from(*v) / 65535.0)),
         })
     }
+
+    fn bits(&self) -> u32 {
+        match self.samples {
+            Samples::Eight(_) => 8,
+            Samples::Sixteen(_) => 16,
+        }
+    }
 }
 
 /// A photograph put aside on the disk, in a file without a name that goes with it.
@@ -94,17 +107,25 @@ impl Spooled {
     }
 }
 
-/// Keeps a photograph in memory while there is room, bytes, and puts it aside otherwise.
-pub fn put_aside(stored: Stored, room: &mut usize) -> Result<Box<dyn Rows>> {
-    let bytes = match &stored.samples {
-        Samples::Eight(s) => s.len(),
-        Samples::Sixteen(s) => 2 * s.len(),
-    };
-    if bytes > *room {
-        return Ok(Box::new(Spooled::new(&stored)?));
+/// Memory in which photographs are kept, bytes; what does not fit is put aside on the disk.
+#[derive(Debug)]
+pub struct Room(AtomicUsize);
+
+impl Room {
+    /// Room for so many bytes.
+    pub const fn new(bytes: usize) -> Self {
+        Self(AtomicUsize::new(bytes))
     }
-    *room -= bytes;
-    Ok(Box::new(stored))
+
+    /// Keeps a photograph in memory while there is room, and puts it aside otherwise.
+    pub fn keep(&self, stored: Stored) -> Result<Box<dyn Rows + Send>> {
+        let bytes = match &stored.samples {
+            Samples::Eight(s) => s.len(),
+            Samples::Sixteen(s) => 2 * s.len(),
+        };
+        let taken = self.0.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(bytes));
+        if taken.is_ok() { Ok(Box::new(stored)) } else { Ok(Box::new(Spooled::new(&stored)?)) }
+    }
 }
 
 impl Rows for Spooled {
@@ -122,6 +143,10 @@ impl Rows for Spooled {
             let words = bytes.chunks_exact(2).map(|b| u16::from_ne_bytes([b[0], b[1]]));
             pixels(self.width, words.map(|v| f32::from(v) / 65535.0))
         })
+    }
+
+    fn bits(&self) -> u32 {
+        8 * self.bytes as u32
     }
 }
 
@@ -141,10 +166,13 @@ mod tests {
             assert_eq!(Rows::rows(&whole, part.clone()).unwrap(), expected);
             assert_eq!(spooled.rows(part).unwrap(), expected);
         }
-        let mut room = 250;
+        let room = Room::new(250);
         for left in [130, 10, 10] {
-            let kept = put_aside(stored.clone(), &mut room).unwrap();
-            assert_eq!((room, kept.rows(1..3).unwrap()), (left, stored.rows(1..3).unwrap()));
+            let kept = room.keep(stored.clone()).unwrap();
+            assert_eq!(
+                (room.0.load(Ordering::Relaxed), kept.rows(1..3).unwrap()),
+                (left, stored.rows(1..3).unwrap())
+            );
         }
         let eight = Stored { width: 4, height: 5, samples: Samples::Eight((0..60).collect()) };
         assert_eq!(Spooled::new(&eight).unwrap().rows(3..5).unwrap(), eight.rows(3..5).unwrap());

@@ -4,11 +4,12 @@ use super::estimate::{Estimate, Reading, estimate, inconsistent, overexpose};
 use super::ghosts;
 use super::noise::{Noise, Sensor};
 use super::order::by_exposure;
+use super::residuals::Residuals;
 use super::{Merged, Problem};
 use crate::config;
 use crate::exposure::Frame;
 use crate::image::{CodeImage, Image, Radiance};
-use crate::response::Response;
+use crate::response::{LEVELS, Response, Vignetting};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -43,6 +44,9 @@ pub struct FrameFigures {
 pub struct Summary {
     /// By frame, in the order given.
     pub frames: Vec<FrameFigures>,
+    /// For each of them where it differs from the merged picture and by how many stops: means over cells of a picture of at
+    /// most 240 px width, 0 where it is not well exposed.
+    pub residuals: Vec<Image<f32>>,
     /// Noise that was reckoned with, per channel.
     pub sensors: [Sensor; 3],
     /// Share of pixels that saturate in every frame.
@@ -63,18 +67,22 @@ pub fn merge_in_bands<E: From<Problem>>(
     let (width, height) = check(frames, plate_exposure)?;
     let order = by_exposure(frames).map_err(Problem::from)?;
     let frames: Vec<Frame> = order.iter().map(|i| frames[*i]).collect();
+    let noise = Noise::new(response, &frames, settings)?;
+    // Radiance at which each frame has relative exposure 1.
+    let units: Vec<f32> = frames.iter().map(|f| (plate_exposure / f.exposure) as f32).collect();
     let view = View {
-        noise: Noise::new(response, &frames, settings)?,
-        // Radiance at which each frame has relative exposure 1.
-        units: frames.iter().map(|f| (plate_exposure / f.exposure) as f32).collect(),
+        readings: units.iter().enumerate().map(|(i, unit)| Readings::new(&noise, i, *unit)).collect(),
+        noise,
+        units,
         size: (width, height),
+        vignetting: response.vignetting.as_ref(),
         deghost: settings.deghost && frames.len() > 2,
         frames,
         order,
     };
     let rows = (PIXELS / width.max(1)).clamp(1, height.max(1));
     let tops: Vec<usize> = (0..height).step_by(rows).collect();
-    let mut counts = Counts::new(view.frames.len());
+    let mut counts = Counts::new(view.frames.len(), width, 0..height);
     for group in tops.chunks(rayon::current_num_threads()) {
         let bands: Vec<_> = group.par_iter().map(|top| view.band(*top..(top + rows).min(height))).collect();
         for band in bands {
@@ -108,8 +116,28 @@ struct View<'a> {
     order: Vec<usize>,
     noise: Noise<'a>,
     units: Vec<f32>,
+    readings: Vec<Readings>,
     size: (usize, usize),
+    vignetting: Option<&'a Vignetting>,
     deghost: bool,
+}
+
+/// What a frame says at each code of 8 bits, since most codes are such.
+struct Readings([Vec<(f32, Reading)>; 3]);
+
+impl Readings {
+    fn new(noise: &Noise, frame: usize, unit: f32) -> Self {
+        Self([0, 1, 2].map(|channel| {
+            let code = |z: usize| z as f32 / (LEVELS - 1) as f32;
+            (0..LEVELS).map(|z| (code(z), noise.read(frame, channel, code(z), unit))).collect()
+        }))
+    }
+
+    fn of(&self, noise: &Noise, channel: usize, code: f32, unit: f32) -> Reading {
+        let table = &self.0[channel];
+        let (at, reading) = &table[((code * (LEVELS - 1) as f32 + 0.5) as usize).min(LEVELS - 1)];
+        if *at == code { *reading } else { noise.read(reading.frame, channel, code, unit) }
+    }
 }
 
 impl View<'_> {
@@ -136,7 +164,7 @@ impl View<'_> {
         }
         let left_out = ghosts::mask(&Image::from_pixels(width, wider.len(), seen));
         let inner = (rows.start - wider.start) * width..(rows.end - wider.start) * width;
-        let mut counts = Counts::new(self.frames.len());
+        let mut counts = Counts::new(self.frames.len(), width, rows.clone());
         let mut merged = Merged {
             radiance: Image::from_fn(width, rows.len(), |_, _| Radiance::default()),
             variance: Image::from_fn(width, rows.len(), |_, _| [0.0; 3]),
@@ -144,16 +172,19 @@ impl View<'_> {
         };
         for (to, i) in inner.clone().enumerate() {
             let without = left_out.pixels()[i];
+            let (x, y) = (to % width, rows.start + to / width);
+            let fall_off = self.vignetting.map(|v| v.of_pixel(x, y, self.size));
             for (channel, estimated) in estimates[i].iter_mut().enumerate() {
                 if without != 0 {
                     self.read(&codes, i, channel, without, &mut readings);
                     *estimated = estimate(&readings, &self.noise, channel);
                 }
+                let estimated = fall_off.map_or(*estimated, |f| estimated.through(f));
                 merged.radiance.pixels_mut()[to].0[channel] = estimated.radiance;
                 merged.variance.pixels_mut()[to][channel] = estimated.variance;
                 merged.clipped.pixels_mut()[to] |= estimated.clipped;
             }
-            counts.pixel(self, &codes, i, &estimates[i], without);
+            counts.pixel(self, &codes, (x, y), i, &estimates[i], without);
         }
         let left_out = left_out.pixels()[inner].iter().map(|bits| self.as_given(*bits)).collect();
         let left_out = Image::from_pixels(width, rows.len(), left_out);
@@ -176,7 +207,7 @@ impl View<'_> {
                 let code = codes.pixels()[i].0[channel];
                 // A frame that was moved does not reach everywhere.
                 if !code.is_nan() && (pass == 1 || kept(frame)) {
-                    readings.push(self.noise.read(frame, channel, code, *unit));
+                    readings.push(self.readings[frame].of(&self.noise, channel, code, *unit));
                 }
             }
             if !readings.is_empty() {
@@ -196,6 +227,7 @@ struct Counts {
     /// Relative standard errors, in steps of 0.05 %.
     errors: Vec<u32>,
     frames: Vec<FrameCounts>,
+    residuals: Residuals,
 }
 
 #[derive(Clone)]
@@ -209,15 +241,25 @@ struct FrameCounts {
 const ERROR_STEP: f64 = 5e-4;
 const RESIDUAL_STEP: f64 = 2e-3;
 const STEPS: usize = 2000;
-const EVERY: usize = 7;
 
 impl Counts {
-    fn new(frames: usize) -> Self {
+    fn new(frames: usize, width: usize, rows: Range<usize>) -> Self {
         let frame = FrameCounts { residuals: vec![0; STEPS], clipped: 0, left_out: 0 };
-        Self { pixels: 0, sampled: 0, clipped: 0, errors: vec![0; STEPS], frames: vec![frame; frames] }
+        let residuals = Residuals::new(frames, width, rows);
+        let (errors, frames) = (vec![0; STEPS], vec![frame; frames]);
+        Self { pixels: 0, sampled: 0, clipped: 0, errors, frames, residuals }
     }
 
-    fn pixel(&mut self, view: &View, codes: &[CodeImage], i: usize, estimates: &[Estimate; 3], without: u64) {
+    /// Of the pixel at a place of the view, the `i`-th of the codes.
+    fn pixel(
+        &mut self,
+        view: &View,
+        codes: &[CodeImage],
+        (x, y): (usize, usize),
+        i: usize,
+        estimates: &[Estimate; 3],
+        without: u64,
+    ) {
         self.pixels += 1;
         let clipped = estimates.iter().any(|e| e.clipped);
         self.clipped += usize::from(clipped);
@@ -229,17 +271,20 @@ impl Counts {
             counts.left_out += usize::from(frame < 64 && without & 1 << frame != 0);
         }
         // Some of the pixels tell of each frame.
-        if !i.is_multiple_of(EVERY) {
+        if !i.is_multiple_of(self.residuals.stride()) {
             return;
         }
         self.sampled += 1;
         for (frame, counts) in self.frames.iter_mut().enumerate() {
             let code = codes[frame].pixels()[i].0;
-            counts.clipped += usize::from((0..3).any(|c| view.noise.read(frame, c, code[c], 1.0).clipped));
+            counts.clipped += usize::from((0..3).any(|c| view.noise.is_clipped(c, code[c])));
             // Green alone: it has the least noise and is the same in JPEG's subsampled colour.
             if (0.2..0.9).contains(&code[1]) && green.radiance > 0.0 {
-                let says = view.noise.read(frame, 1, code[1], view.units[frame]).exposure * view.units[frame];
-                counts.residuals[step(f64::from(says / green.radiance).log2().abs(), RESIDUAL_STEP)] += 1;
+                let read = view.readings[frame].of(&view.noise, 1, code[1], view.units[frame]);
+                let says = read.exposure * read.unit;
+                let stops = (says / green.radiance).log2();
+                counts.residuals[step(f64::from(stops.abs()), RESIDUAL_STEP)] += 1;
+                self.residuals.put(frame, x, y, stops);
             }
         }
     }
@@ -250,6 +295,7 @@ impl Counts {
         self.sampled += other.sampled;
         self.clipped += other.clipped;
         add(&mut self.errors, &other.errors);
+        self.residuals.add(&other.residuals);
         for (a, b) in self.frames.iter_mut().zip(&other.frames) {
             add(&mut a.residuals, &b.residuals);
             a.clipped += b.clipped;
@@ -265,11 +311,14 @@ impl Counts {
             left_out_share: share(f.left_out),
         };
         let mut frames = vec![FrameFigures::default(); self.frames.len()];
-        for (counts, given) in self.frames.iter().zip(&view.order) {
+        let mut residuals = vec![Image::from_pixels(0, 0, Vec::new()); self.frames.len()];
+        for (i, (counts, given)) in self.frames.iter().zip(&view.order).enumerate() {
             frames[*given] = of(counts);
+            residuals[*given] = self.residuals.map(i);
         }
         Summary {
             frames,
+            residuals,
             sensors: *view.noise.sensors(),
             clipped_share: share(self.clipped),
             median_relative_error: middle(&self.errors, ERROR_STEP),

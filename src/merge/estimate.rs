@@ -9,19 +9,23 @@ pub(super) struct Reading {
     pub frame: usize,
     /// Relative exposure.
     pub exposure: f32,
-    /// Radiance at which this frame has relative exposure 1.
+    /// Radiance at which this frame has relative exposure 1, and its inverse.
     pub unit: f32,
-    /// Of the radiance it says.
-    pub variance: f32,
+    per_unit: f32,
+    /// Radiance that it says, its variance, and the inverse of that.
+    says: f32,
+    variance: f32,
+    weight: f32,
     pub clipped: bool,
     /// At or below the black level.
     pub dark: bool,
 }
 
 impl Reading {
-    /// Radiance.
-    fn says(&self) -> f32 {
-        self.exposure * self.unit
+    /// `variance`: of the relative exposure.
+    pub fn new(frame: usize, exposure: f32, variance: f32, unit: f32, [clipped, dark]: [bool; 2]) -> Self {
+        let (says, per_unit, variance) = (exposure * unit, 1.0 / unit, variance * unit * unit);
+        Self { frame, exposure, unit, per_unit, says, variance, weight: 1.0 / variance, clipped, dark }
     }
 
     fn tells(&self) -> bool {
@@ -34,6 +38,18 @@ pub(super) struct Estimate {
     pub radiance: f32,
     pub variance: f32,
     pub clipped: bool,
+}
+
+impl Estimate {
+    /// The radiance before a lens that lets a share of it through; that share's variance adds to its own.
+    pub fn through(self, (share, variance): (f32, f32)) -> Self {
+        let radiance = self.radiance / share;
+        Self {
+            radiance,
+            variance: (self.variance + radiance * radiance * variance) / (share * share),
+            ..self
+        }
+    }
 }
 
 /// By so many standard deviations a shorter exposure must exceed a longer one's range to rule it out, and a reading be
@@ -52,7 +68,8 @@ pub(super) fn overexpose(readings: &mut [Reading], model: &Noise, channel: usize
     for i in 0..readings.len() {
         let Reading { exposure, unit, clipped, .. } = readings[i];
         let beyond = |s: &Reading| {
-            s.unit > unit && (s.clipped || !s.dark && s.says() - SURE * s.variance.sqrt() > high * unit)
+            let surely = |over: f32| over > 0.0 && over * over > SURE * SURE * s.variance;
+            s.unit > unit && (s.clipped || !s.dark && surely(s.says - high * unit))
         };
         if !clipped && exposure > FAR * high {
             readings[i].clipped = readings.iter().any(beyond);
@@ -65,9 +82,8 @@ pub(super) fn estimate(readings: &[Reading], model: &Noise, channel: usize) -> E
     // First by what each frame reads, then by what all together make likely.
     let (mut sum, mut weight) = (0.0_f32, 0.0_f32);
     for r in readings.iter().filter(|r| r.tells()) {
-        let w = 1.0 / r.variance;
-        sum += w * r.says();
-        weight += w;
+        sum += r.weight * r.says;
+        weight += r.weight;
     }
     if weight == 0.0 {
         return at_the_ends(readings);
@@ -77,12 +93,13 @@ pub(super) fn estimate(readings: &[Reading], model: &Noise, channel: usize) -> E
     let (low, high) = model.range(channel);
     let (mut sum, mut weight, mut common) = (0.0_f64, 0.0_f64, 0.0_f64);
     for r in readings.iter().filter(|r| !r.clipped) {
-        let expected = likely / r.unit;
-        if (low..high).contains(&expected) {
-            let w = 1.0 / f64::from(model.variance(channel, expected) * r.unit * r.unit);
-            sum += w * f64::from(r.says());
+        let expected = likely * r.per_unit;
+        if expected >= low && expected < high {
+            let (precision, shared) = model.precision(channel, expected);
+            let w = f64::from(precision * r.per_unit * r.per_unit);
+            sum += w * f64::from(r.says);
             weight += w;
-            common += w * f64::from(model.common(channel, expected));
+            common += w * f64::from(shared);
         }
     }
     if weight > 0.0 {
@@ -99,7 +116,7 @@ fn at_the_ends(readings: &[Reading]) -> Estimate {
     let longest = readings.iter().filter(|r| !r.clipped).min_by(|a, b| a.unit.total_cmp(&b.unit));
     match (shortest, longest) {
         // Clipped in some and black in all others: the longest of the black ones tells most.
-        (_, Some(r)) => Estimate { radiance: r.says(), variance: r.variance, clipped: false },
+        (_, Some(r)) => Estimate { radiance: r.says, variance: r.variance, clipped: false },
         (Some(r), None) => Estimate { radiance: r.unit, variance: r.unit * r.unit, clipped: true },
         (None, None) => Estimate::default(),
     }
@@ -109,12 +126,12 @@ fn at_the_ends(readings: &[Reading]) -> Estimate {
 /// explains, clipped though the others say that they should not be, or black likewise.
 pub(super) fn inconsistent(readings: &[Reading], model: &Noise, channel: usize, likely: f32) -> u64 {
     let off = |r: &Reading, centre: f32| {
-        let slack = (r.variance + (UNTOLD * centre) * (UNTOLD * centre)).sqrt();
-        (r.says() - centre).abs() > SURE * slack
+        let off = r.says - centre;
+        off * off > SURE * SURE * (r.variance + (UNTOLD * centre) * (UNTOLD * centre))
     };
     let (low, high) = model.range(channel);
     let impossible = |r: &Reading, centre: f32| {
-        let expected = centre / r.unit;
+        let expected = centre * r.per_unit;
         r.clipped && expected < FAR * high || r.dark && !r.clipped && FAR * expected > low.max(0.02)
     };
     let wrong = |centre: f32| {
@@ -134,10 +151,7 @@ fn middle(readings: &[Reading]) -> f32 {
         .iter()
         .filter(|r| r.tells())
         .map(|r| {
-            (
-                r.says(),
-                1.0 / (r.variance + (UNTOLD * r.says()).powi(2)).max(1e-20) * r.says().powi(2).max(1e-20),
-            )
+            (r.says, 1.0 / (r.variance + (UNTOLD * r.says).powi(2)).max(1e-20) * r.says.powi(2).max(1e-20))
         })
         .collect();
     said.sort_by(|a, b| a.0.total_cmp(&b.0));

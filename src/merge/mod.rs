@@ -15,11 +15,16 @@ mod ghosts;
 mod noise;
 mod order;
 mod problem;
+mod residuals;
+mod series;
+mod stage;
 
 pub use crate::exposure::Frame;
 pub use bands::{Band, FrameFigures, Summary, merge_in_bands};
 pub use noise::{Noise, Sensor};
 pub use problem::Problem;
+pub use series::Series;
+pub use stage::write_plate;
 
 use crate::artefact::exr::Planes;
 use crate::config;

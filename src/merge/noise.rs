@@ -23,7 +23,7 @@ pub struct Sensor {
     pub photon: f64,
     /// Variance in the dark: squared read noise over electrons at saturation.
     pub read: f64,
-    /// Standard deviation of a stored code, in steps of 8 bits.
+    /// Standard deviation that rounding a code leaves, in steps of 8 bits.
     pub code_steps: f64,
     /// Correlation of the noise of neighbouring pixels. JPEG and cameras smooth noise away, and with it detail of the same
     /// size in all frames alike: an error that averaging does not lessen.
@@ -34,10 +34,15 @@ impl Sensor {
     /// A common camera, for single photographs.
     pub const COMMON: Self = Self::of_electrons(12_000.0, 5.0);
 
-    /// From the full-well capacity and the read noise, electrons; JPEG adds to rounding.
+    /// From the full-well capacity and the read noise, electrons; codes of 8 bits.
     pub const fn of_electrons(full_well: f64, read_noise: f64) -> Self {
         let read = read_noise / full_well;
         Self { photon: 1.0 / full_well, read: read * read, code_steps: CODE_STEPS, correlation: 0.0 }
+    }
+
+    /// The same with codes whose step is so many steps of 8 bits.
+    fn of_step(self, step: f64) -> Self {
+        Self { code_steps: CODE_STEPS * step, ..self }
     }
 
     fn variance(&self, exposure: f64, slope: f64) -> f64 {
@@ -57,8 +62,11 @@ pub struct Noise<'a> {
     response: &'a Response,
     sensors: [Sensor; 3],
     variance: [Vec<f32>; 3],
-    /// Squared relative error that all frames have in common: of the curve, and detail smoothed away.
-    common: [Vec<f32>; 3],
+    /// Inverse of the variance, and the squared relative error that all frames have in common: of the curve, and detail
+    /// smoothed away.
+    precision: [Vec<(f32, f32)>; 3],
+    /// Relative exposures between which a frame is worth reading.
+    range: [(f32, f32); 3],
     /// Code from which a channel counts as clipped, and up to which as black.
     clip: [f32; 3],
     floor: [f32; 3],
@@ -68,15 +76,21 @@ impl<'a> Noise<'a> {
     /// The noise of a camera with this response: as the settings have it, or else as the frames, the shortest exposure
     /// first, show it.
     pub fn new(response: &'a Response, frames: &[Frame], settings: &config::Merge) -> Result<Self, Problem> {
+        // The coarsest frame rounds most.
+        let bits = frames.iter().map(|f| f.codes.bits()).min().unwrap_or(8);
+        let step = (LEVELS - 1) as f64 / f64::from((1_u32 << bits) - 1);
         let sensors = if settings.full_well_electrons > 0.0 {
-            [Sensor::of_electrons(settings.full_well_electrons, settings.read_noise_electrons); 3]
+            let (full_well, read) = (settings.full_well_electrons, settings.read_noise_electrons);
+            [Sensor::of_electrons(full_well, read).of_step(step); 3]
         } else {
-            estimate(response, frames)?
+            estimate(response, frames, step)?
         };
-        Ok(Self::of_sensors(response, sensors, settings))
+        Ok(Self::of_sensors(response, sensors, step, settings))
     }
 
-    fn of_sensors(response: &'a Response, sensors: [Sensor; 3], settings: &config::Merge) -> Self {
+    /// `step`: of a code, in steps of 8 bits.
+    fn of_sensors(response: &'a Response, sensors: [Sensor; 3], step: f64, settings: &config::Merge) -> Self {
+        let step = step as f32 * STEP;
         let curves = response.curves.each_ref();
         let table = |c: usize| {
             let (curve, sensor) = (curves[c], sensors[c]);
@@ -92,16 +106,17 @@ impl<'a> Noise<'a> {
             };
             (0..ENTRIES).map(of).unzip::<f32, f32, Vec<_>, Vec<_>>()
         };
-        let [red, green, blue] = [table(0), table(1), table(2)];
-        Self {
-            response,
-            sensors,
-            variance: [red.0, green.0, blue.0],
-            common: [red.1, green.1, blue.1],
-            clip: curves.map(|c| c.clip * settings.clip.min(1.0 - 0.5 * STEP)),
-            // Without a black level of its own, code 0 alone says nothing.
-            floor: curves.map(|c| if c.floor > 0.0 { c.floor + 3.0 * STEP } else { 0.5 * STEP }),
-        }
+        let tables = [table(0), table(1), table(2)];
+        let precision = tables.each_ref().map(|(variance, common)| {
+            variance.iter().zip(common).map(|(variance, common)| (1.0 / variance, *common)).collect()
+        });
+        let clip = curves.map(|c| c.clip * settings.clip.min(1.0 - 0.5 * step));
+        // Without a black level of its own, code 0 alone says nothing.
+        let floor = curves.map(|c| if c.floor > 0.0 { c.floor + 3.0 * STEP } else { 0.5 * step });
+        let range =
+            [0, 1, 2].map(|c: usize| (curves[c].exposure_of(floor[c]), curves[c].exposure_of(clip[c])));
+        let variance = tables.map(|(variance, _)| variance);
+        Self { response, sensors, variance, precision, range, clip, floor }
     }
 
     /// Noise of each channel.
@@ -114,28 +129,26 @@ impl<'a> Noise<'a> {
         self.variance[channel][entry(exposure)]
     }
 
-    /// Squared relative error that all frames have in common at a relative exposure: of the curve, and of detail that is
-    /// smoothed away.
-    pub(super) fn common(&self, channel: usize, exposure: f32) -> f32 {
-        self.common[channel][entry(exposure)]
+    /// Inverse of that variance, and the squared relative error that all frames have in common there: of the curve, and of
+    /// detail that is smoothed away.
+    pub(super) fn precision(&self, channel: usize, exposure: f32) -> (f32, f32) {
+        self.precision[channel][entry(exposure)]
     }
 
     /// Relative exposures between which a frame is worth reading.
     pub(super) fn range(&self, channel: usize) -> (f32, f32) {
-        let curve = &self.response.curves[channel];
-        (curve.exposure_of(self.floor[channel]), curve.exposure_of(self.clip[channel]))
+        self.range[channel]
+    }
+
+    /// Whether a code counts as clipped.
+    pub(super) fn is_clipped(&self, channel: usize, code: f32) -> bool {
+        code >= self.clip[channel]
     }
 
     pub(super) fn read(&self, frame: usize, channel: usize, code: f32, unit: f32) -> Reading {
         let exposure = self.response.curves[channel].exposure_of(code);
-        Reading {
-            frame,
-            exposure,
-            unit,
-            variance: self.variance(channel, exposure) * unit * unit,
-            clipped: code >= self.clip[channel],
-            dark: code <= self.floor[channel],
-        }
+        let ends = [self.is_clipped(channel, code), code <= self.floor[channel]];
+        Reading::new(frame, exposure, self.variance(channel, exposure), unit, ends)
     }
 }
 
@@ -156,11 +169,12 @@ const ROWS: usize = 128;
 /// Bins over ln exposure from 1/1024 of saturation on, and the fewest pixels that one needs.
 const BINS: usize = 20;
 const FEWEST: usize = 200;
-/// Rounding to 8 bits and what JPEG adds to it, steps; too much like photon noise to be told from it.
+/// Rounding of codes and what JPEG adds to it, steps; too much like photon noise to be told from it.
 const CODE_STEPS: f64 = 0.5;
 
-/// Part of that share that is taken for detail lost; found on rendered captures.
-const SMOOTHED: f64 = 0.7;
+/// Part of that share that is taken for detail lost. All frames lose the same, so that no frame left out tells it: found on
+/// rendered captures, where with it each of them has its 68 % of errors within σ, give or take 8.
+const SMOOTHED: f64 = 0.5;
 
 /// What the variance of the difference of two frames is in one bin: of exposure x in the shorter one, the longer one
 /// gathering 1/r of its light.
@@ -176,7 +190,7 @@ struct Bin {
 
 /// Noise from how far neighbouring exposures differ where both are well exposed: var(x_a − r x_b) = V(x_a) + r² V(x_b), by
 /// the deviation that 68 % keep, as σ is of a normal distribution: edges and whatever moved hardly sway it.
-fn estimate(response: &Response, frames: &[Frame]) -> Result<[Sensor; 3], Problem> {
+fn estimate(response: &Response, frames: &[Frame], step: f64) -> Result<[Sensor; 3], Problem> {
     let height = frames.first().map_or(0, |f| f.codes.size().1);
     let stride = height.div_ceil(ROWS).max(1);
     let mut sampled = Vec::new();
@@ -189,15 +203,15 @@ fn estimate(response: &Response, frames: &[Frame]) -> Result<[Sensor; 3], Proble
         let bins: Vec<Bin> = pairs
             .flat_map(|(rows, frames)| {
                 let r = frames[0].exposure / frames[1].exposure;
-                of_pair([&rows[0], &rows[1]], &response.curves[channel], channel, r)
+                of_pair([&rows[0], &rows[1]], &response.curves[channel], channel, r, step)
             })
             .collect();
-        if bins.len() < 2 { Sensor::COMMON } else { fitted(&bins) }
+        if bins.len() < 2 { Sensor::COMMON.of_step(step) } else { fitted(&bins).of_step(step) }
     }))
 }
 
 /// The bins of two frames, the first of r times the exposure of the second.
-fn of_pair(rows: [&[CodeImage]; 2], curve: &Curve, channel: usize, r: f64) -> Vec<Bin> {
+fn of_pair(rows: [&[CodeImage]; 2], curve: &Curve, channel: usize, r: f64, step: f64) -> Vec<Bin> {
     let held = curve.floor + 4.0 * STEP..curve.clip - 8.0 * STEP;
     let mut differences = vec![Vec::new(); BINS];
     let mut steps = vec![Vec::new(); BINS];
@@ -221,7 +235,7 @@ fn of_pair(rows: [&[CodeImage]; 2], curve: &Curve, channel: usize, r: f64) -> Ve
             last = Some((bin, difference));
         }
     }
-    let slope = |x: f64| f64::from(curve.slope_at(curve.code_of(x as f32)) * STEP) * CODE_STEPS;
+    let slope = |x: f64| f64::from(curve.slope_at(curve.code_of(x as f32)) * STEP) * CODE_STEPS * step;
     let bins = differences.into_iter().zip(steps).enumerate();
     bins.filter(|(_, (d, s))| d.len() >= FEWEST && s.len() >= FEWEST / 2)
         .map(|(bin, (mut differences, mut steps))| {
@@ -276,7 +290,7 @@ mod tests {
     use rand::{Rng, SeedableRng, rngs::SmallRng};
 
     fn noise(response: &Response, full_well: f64) -> Noise<'_> {
-        Noise::of_sensors(response, [Sensor::of_electrons(full_well, 5.0); 3], &config::Merge::default())
+        Noise::of_sensors(response, [Sensor::of_electrons(full_well, 5.0); 3], 1.0, &config::Merge::default())
     }
 
     #[test]

@@ -142,6 +142,8 @@ fn in_two_orders(codes: &[[f32; 3]], exposures: [f64; 4], turn: usize) -> [(Merg
         let back = |bits: &u64| (0..4).filter(|k| bits & 1 << k != 0).fold(0, |b, k| b | 1 << order[k]);
         let of = summary.frames.clone();
         order.iter().zip(of).for_each(|(i, figures)| summary.frames[*i] = figures);
+        let of = summary.residuals.clone();
+        order.iter().zip(of).for_each(|(i, map)| summary.residuals[*i] = map);
         (merged, left_out.pixels().iter().map(back).collect(), summary)
     })
 }

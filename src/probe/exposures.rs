@@ -1,86 +1,53 @@
-//! The probe's exposures as one picture.
+//! The probe's exposures as one picture: by the same exposures from pixels, alignment and merging as the plate's.
 
-use crate::config;
-use crate::exposure::{Frame, Photograph};
-use crate::image::{CodeImage, Radiance};
-use crate::merge::{self, Merged, align};
+use super::Problem;
+use crate::config::Role;
+use crate::error::{Context as _, Result};
+use crate::exposure::{self, Capture, Photo, Photograph};
+use crate::image::{Radiance, RadianceImage};
+use crate::merge::{self, Merged, Series};
 use crate::response::Response;
+use crate::stage::Context;
 
-/// Merges photographs of one view, each with its exposure ([`crate::exposure::Exposure::scale`]), in units of
-/// `plate_exposure`; what lies beside the others is moved back first. Gives also by how many px along x and y each lay
-/// beside the middle exposure.
+/// All photographs of the probe as one picture in units of the plate.
 ///
 /// A linear picture stands alone: it is brought to units of the plate, and the others are not looked at.
-pub fn merge(
-    photographs: Vec<(Photograph, f64)>,
-    response: &Response,
-    plate_exposure: f64,
-    settings: &config::Merge,
-) -> Result<(Merged, Vec<[i32; 2]>), merge::Problem> {
-    let mut images = Vec::with_capacity(photographs.len());
-    for (photograph, exposure) in photographs {
-        match photograph {
-            Photograph::Linear(image) => {
-                let gain = (plate_exposure / exposure) as f32;
-                let image = image.map(|p| Radiance(p.0.map(|v| v * gain)));
-                return Ok((Merged::from_linear(&image), Vec::new()));
-            }
-            Photograph::Codes(codes) => images.push((codes, exposure)),
-        }
+pub fn merged(ctx: &Context, capture: &Capture, response: &Response) -> Result<Merged> {
+    let photos: Vec<&Photo> = capture.with_role(Role::Probe).collect();
+    if photos.is_empty() {
+        return Err(Problem::NoPicture)
+            .doing("looking for the mirror ball in the photographs of role `probe`");
     }
-    let shifts = align::shifts(&frames(&images), response);
-    for ((codes, _), shift) in images.iter_mut().zip(&shifts).filter(|(_, s)| **s != [0, 0]) {
-        *codes = align::moved_back(codes, *shift);
+    // The plate's exposure as it was found, if it was, is the unit of the merged plate, too.
+    let plate = capture.plate()?;
+    let found = response.exposures.iter().find(|e| e.file == plate.file).map(|e| e.used);
+    let unit = found.map_or_else(|| capture.plate_exposure(), Ok)?;
+    if let Some(photo) = photos.iter().find(|p| p.linear)
+        && let Photograph::Linear(image) = exposure::load(ctx, capture, photo)?
+    {
+        return Ok(in_plate_units(&image, photo.exposure.map_or(unit, |e| e.scale()), unit));
     }
-    Ok((merge::merge(&frames(&images), response, plate_exposure, settings)?, shifts))
+    let series = Series::read(ctx, capture, photos, response, unit)?;
+    series
+        .aligned(|frames, _| merge::merge(frames, response, unit, &ctx.pipeline.merge))
+        .doing("merging the probe's exposures")
 }
 
-fn frames(images: &[(CodeImage, f64)]) -> Vec<Frame<'_>> {
-    images.iter().map(|(codes, exposure)| Frame { codes, exposure: *exposure }).collect()
+fn in_plate_units(image: &RadianceImage, exposure: f64, plate_exposure: f64) -> Merged {
+    let gain = (plate_exposure / exposure) as f32;
+    Merged::from_linear(&image.map(|p| Radiance(p.0.map(|v| v * gain))))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::image::{Code, Image};
-
-    /// Blotches of light, at most 0.22, seen `shift` px beside their place.
-    fn light(x: usize, y: usize, shift: [i32; 2]) -> f32 {
-        let (u, v) = ((x as i32 - shift[0]) as f32, (y as i32 - shift[1]) as f32);
-        0.02 + 0.1 * (1.0 + (0.45 * u).sin() * (0.31 * v + 0.002 * u * v).cos())
-    }
-
-    fn shoot(exposure: f32, shift: [i32; 2]) -> (Photograph, f64) {
-        let code = |x, y| Code(Response::srgb().code_of([light(x, y, shift) * exposure; 3]));
-        (Photograph::Codes(Image::from_fn(96, 80, code)), f64::from(exposure))
-    }
-
-    fn merged(photographs: Vec<(Photograph, f64)>) -> (Merged, Vec<[i32; 2]>) {
-        merge(photographs, &Response::srgb(), 2.0, &config::Merge::default()).unwrap()
-    }
-
-    #[test]
-    fn exposures_that_lie_beside_the_others_are_moved_back_and_merged() {
-        let (merged, shifts) = merged(vec![shoot(4.0, [0, 0]), shoot(2.0, [0, 0]), shoot(1.0, [-1, 3])]);
-        assert_eq!(shifts, [[0, 0], [0, 0], [-1, 3]]);
-        // At the border a moved picture repeats its last pixels.
-        for (x, y) in (8..72).flat_map(|y| (8..88).map(move |x| (x, y))) {
-            let (seen, true_) = (merged.radiance.at(x, y).0[1], 2.0 * light(x, y, [0, 0]));
-            assert!((seen / true_ - 1.0).abs() < 0.01, "{seen} at {x}, {y}, in truth {true_}");
-        }
-    }
+    use crate::image::Image;
 
     #[test]
     fn a_linear_picture_is_brought_to_units_of_the_plate() {
-        let linear = Photograph::Linear(Image::from_fn(96, 80, |_, _| Radiance([0.5, 1.0, 3.0])));
-        let (merged, shifts) = merged(vec![(linear, 0.5), shoot(1.0, [0, 0])]);
+        let linear = Image::from_fn(96, 80, |_, _| Radiance([0.5, 1.0, 3.0]));
+        let merged = in_plate_units(&linear, 0.5, 2.0);
         assert_eq!(merged.radiance.at(3, 4).0, [2.0, 4.0, 12.0]);
-        assert!(shifts.is_empty() && !merged.clipped.pixels().contains(&true));
-    }
-
-    #[test]
-    fn without_an_exposure_there_is_nothing_to_merge() {
-        let e = merge(Vec::new(), &Response::srgb(), 1.0, &config::Merge::default()).unwrap_err();
-        assert_eq!(e, merge::Problem::NoFrame);
+        assert!(!merged.clipped.pixels().contains(&true));
     }
 }

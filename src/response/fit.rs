@@ -79,7 +79,14 @@ pub fn fit_sampled(frames: &[Sampled], settings: &config::Response) -> Result<Re
     };
     let mut curves = fits.into_iter().map(|f| f.curve);
     let curves = [curves.next(), curves.next(), curves.next()].map(Option::unwrap_or_default);
-    Ok(Response { curves, assumed: false, method: Some(method), quality: Some(quality), exposures })
+    Ok(Response {
+        curves,
+        assumed: false,
+        method: Some(method),
+        quality: Some(quality),
+        exposures,
+        vignetting: None,
+    })
 }
 
 /// Rms residual of given curves (relative exposure at each level, per channel) at the places that [`fit`] would choose,

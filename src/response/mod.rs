@@ -14,11 +14,15 @@ mod observations;
 mod problem;
 mod robertson;
 mod samples;
+mod stage;
+mod vignetting;
 
 pub use exposures::{FoundExposure, by_curve};
 pub use fit::{fit, fit_sampled, residual_stops};
 pub use problem::Problem;
 pub use samples::Sampled;
+pub use stage::of_capture;
+pub use vignetting::Vignetting;
 
 use crate::artefact::json::JsonArtefact;
 use crate::config::ResponseMethod;
@@ -57,6 +61,8 @@ pub struct Response {
     pub quality: Option<Quality>,
     /// Exposures of the frames that it was fitted to.
     pub exposures: Vec<FoundExposure>,
+    /// Fall-off of the lens that it was used with, where it is known.
+    pub vignetting: Option<Vignetting>,
 }
 
 /// How well a fit holds.
@@ -76,7 +82,7 @@ pub struct Quality {
 
 impl JsonArtefact for Response {
     const FORMAT: &'static str = "insitu-response";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
 
     fn check(&self) -> Result<(), String> {
         Self::check(self).map_err(|e| e.to_string())
@@ -133,7 +139,12 @@ impl Response {
     pub fn srgb() -> Self {
         let curve = Curve::assumed(linear_from_srgb);
         let curves = [curve.clone(), curve.clone(), curve];
-        Self { curves, assumed: true, method: None, quality: None, exposures: Vec::new() }
+        Self { curves, assumed: true, method: None, quality: None, exposures: Vec::new(), vignetting: None }
+    }
+
+    /// Of developed RAW files, which are stored by the sRGB curve exactly ([`crate::exposure`]).
+    pub fn of_raw() -> Self {
+        Self { assumed: false, ..Self::srgb() }
     }
 
     /// Relative exposures of a pixel's codes; 1 where a channel saturates.

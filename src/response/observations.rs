@@ -3,6 +3,9 @@
 use super::samples::{Channel, median};
 use super::{LEVELS, LN_2};
 
+/// Weight of a place where another channel saturates, against others: it tells of levels that are seen nowhere else.
+const MIXED: f64 = 0.05;
+
 /// One place in one frame.
 #[derive(Debug, Clone)]
 pub(super) struct Observation {
@@ -47,7 +50,7 @@ impl Observations {
                         level,
                         share: reading.mean - level as f64,
                         ln_exposure: exposures[frame].ln(),
-                        weight: hat * hat,
+                        weight: hat * hat * if reading.mixed { MIXED } else { 1.0 },
                         trust: 1.0,
                     });
                 }

@@ -75,6 +75,24 @@ pub enum Problem {
         /// Condition number of the normal equations.
         condition: f64,
     },
+    /// A flat field is not evenly bright, or badly exposed.
+    #[error(
+        "{:.0} % of a photograph of role `flat` are well exposed, {:.0} % are needed", held * 100.0, needed * 100.0
+    )]
+    NoFlatField {
+        /// Share that is well exposed.
+        held: f64,
+        /// Share that is needed.
+        needed: f64,
+    },
+    /// No lens has this vignetting.
+    #[error(
+        "the vignetting would leave {share:.2} of the light at some place of the picture, from 0.05 to 1.5 is believed"
+    )]
+    NoLens {
+        /// Share of the light that it leaves.
+        share: f64,
+    },
     /// A stored curve is not one.
     #[error("channel {}: {levels} levels that do not rise throughout", channel_name(*channel))]
     NotACurve {
@@ -97,6 +115,12 @@ impl crate::error::Problem for Problem {
             Self::TooFew { clipped, dark, .. } if clipped > dark => "add shorter exposures",
             Self::TooFew { .. } => "add longer exposures",
             Self::Undetermined { .. } => "add exposures in between, one or two stops apart",
+            Self::NoFlatField { .. } => {
+                "photograph a surface of even brightness so that it fills the picture, at a middle grey"
+            }
+            Self::NoLens { .. } => {
+                "check `vignetting` in [response], or that role `flat` shows a surface of even brightness alone"
+            }
             Self::NotACurve { .. } => crate::artefact::REMAKE,
         }
         .into()

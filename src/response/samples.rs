@@ -23,6 +23,8 @@ pub(super) struct Reading {
     /// The least and the largest of its pixels.
     pub low: f64,
     pub high: f64,
+    /// Another channel saturates there: a camera that mixes channels for colour then strays from its curve.
+    pub mixed: bool,
 }
 
 /// What a fit takes from a frame: readings at a grid of places, and how often each level occurs.
@@ -50,7 +52,8 @@ impl Sampled {
             counts: [0; 3].map(|_| vec![0; LEVELS]),
         };
         for y in (0..height).step_by(stride) {
-            let band = frame.codes.rows(y..(y + stride).min(height))?;
+            // The rows of the places tell of all.
+            let band = frame.codes.rows(y..(y + SIDE).min(height))?;
             for pixel in band.pixels() {
                 for (counts, code) in sampled.counts.iter_mut().zip(pixel.0) {
                     counts[((code * TOP as f32 + 0.5) as usize).min(LEVELS - 1)] += 1;
@@ -87,10 +90,17 @@ impl Channel {
     /// A channel of frames of one size, in order of rising exposure.
     pub fn new(frames: &[&Sampled], channel: usize) -> Self {
         let tiles = frames[0].tiles.clone();
-        let of = |place: usize| frames.iter().map(|f| f.readings[channel][place]).collect();
+        let clips = [0, 1, 2].map(|c| saturation(frames, c));
+        let mixed = |f: &Sampled, place: usize| {
+            (0..3).any(|c| c != channel && f.readings[c][place].high >= clips[c] - 0.5)
+        };
+        let of = |place: usize| {
+            let read = |f: &&Sampled| Reading { mixed: mixed(f, place), ..f.readings[channel][place] };
+            frames.iter().map(read).collect()
+        };
         let places: Vec<Vec<Reading>> = (0..tiles.len()).map(of).collect();
         let exposures: Vec<f64> = frames.iter().map(|f| f.exposure).collect();
-        let clip = saturation(frames, channel);
+        let clip = clips[channel];
         let (floor, noise) = black_level(&places, &exposures);
         Self { places, tiles, floor, lowest: floor + (4.0 * noise).max(5.0), clip }
     }
@@ -183,7 +193,7 @@ fn reading(band: &CodeImage, channel: usize, x: usize) -> Reading {
             (sum, low, high) = (sum + z, low.min(z), high.max(z));
         }
     }
-    Reading { mean: sum / (SIDE * SIDE) as f64, low, high }
+    Reading { mean: sum / (SIDE * SIDE) as f64, low, high, mixed: false }
 }
 
 /// Level at which the channel saturates: the largest, if codes pile up there, or else the largest possible.

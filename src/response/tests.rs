@@ -81,6 +81,20 @@ fn equal_exposures_are_refused_but_a_double_is_not() {
     assert!(worst_error(&fit_exposures(&double, &double, 1.0).unwrap(), 40) < 0.04);
 }
 
+#[test]
+fn two_and_three_exposures_are_judged_on_places_left_out_too() {
+    for taken in [&[8.0, 32.0][..], &[2.0, 8.0, 32.0]] {
+        let quality = fit_exposures(taken, taken, 1.0).unwrap().quality.unwrap();
+        for (held_out, rms) in quality.held_out_stops.iter().zip(quality.rms_stops) {
+            assert!((0.8 * rms..1.5 * rms + 0.005).contains(held_out), "{taken:?}: {quality:?}");
+            assert!(*held_out < 0.05, "{taken:?}: {quality:?}");
+        }
+    }
+    // Of three, one that is wrong shows; of two, any ratio is some camera's.
+    let wrong = fit_exposures(&[2.0, 8.0, 32.0], &[2.0, 16.0, 32.0], 1.0).unwrap().quality.unwrap();
+    assert!(wrong.held_out_stops.iter().all(|s| *s > 0.1), "{wrong:?}");
+}
+
 fn fit_with(taken: &[f64], said: &[f64], settings: &config::Response) -> Response {
     let images: Vec<_> = taken.iter().zip(0..).map(|(e, seed)| photograph(*e, 1.0, seed, camera)).collect();
     let frames: Vec<_> = images.iter().zip(said).map(|(codes, e)| Frame { codes, exposure: *e }).collect();

@@ -3,7 +3,7 @@
 use super::subject::Subject;
 use crate::config;
 use crate::error::{Context as _, Error, FileContext, Result};
-use crate::exposure::{Frame, Rows, Spooled, decode_stored};
+use crate::exposure::{Frame, Room, Stored, decode_each};
 use crate::merge::{Problem, merge_in_bands};
 use crate::printer::Printer;
 use crate::response::{Sampled, fit_sampled};
@@ -97,17 +97,16 @@ pub(in crate::bench) fn merge_cost(program: &str, folder: &Path, printer: &Print
 }
 
 fn ours(files: &[(PathBuf, f64)]) -> Result<()> {
-    let (mut spooled, mut sampled) = (Vec::new(), Vec::new());
-    for (path, exposure) in files {
-        let stored = decode_stored(path)?;
-        sampled.push(Sampled::new(&Frame { codes: &stored, exposure: *exposure }).at(DOING, path)?);
-        spooled.push(Spooled::new(&stored).at(DOING, path)?);
-    }
+    let (paths, exposures): (Vec<PathBuf>, Vec<f64>) = files.iter().cloned().unzip();
+    let room = Room::new(0);
+    let read = |i: usize, stored: Stored| {
+        let sampled = Sampled::new(&Frame { codes: &stored, exposure: exposures[i] }).at(DOING, &paths[i])?;
+        Ok((room.keep(stored).at(DOING, &paths[i])?, sampled))
+    };
+    let (kept, sampled): (Vec<_>, Vec<_>) = decode_each(&paths, read, || ())?.into_iter().unzip();
     let response = fit_sampled(&sampled, &config::Response::default()).doing("fitting the response")?;
-    let frames: Vec<Frame> = spooled
-        .iter()
-        .zip(&response.exposures)
-        .map(|(codes, e)| Frame { codes: codes as &dyn Rows, exposure: e.used })
+    let frames: Vec<Frame> = (kept.iter().zip(&response.exposures))
+        .map(|(codes, e)| Frame { codes: codes.as_ref(), exposure: e.used })
         .collect();
     let take = |band: crate::merge::Band| {
         std::hint::black_box(band.merged.radiance.pixels());

@@ -11,7 +11,8 @@ const DOING: &str = "reading a folder of exposures";
 
 /// The exposures of a folder; of the folders in it, where it has no photographs of its own.
 pub(super) fn subjects(folder: &Path) -> Result<Vec<Subject>> {
-    let names = exposure::list(folder)?;
+    let mut names = exposure::list(folder)?;
+    names.retain(|name| exposure::is_readable(name.as_ref()));
     let mut by_folder: BTreeMap<PathBuf, Vec<PathBuf>> = BTreeMap::new();
     for name in &names {
         let path = folder.join(name);

@@ -185,9 +185,9 @@ fn between(a: &Logs, b: &Logs) -> Result<Matrix3<f64>, f64> {
     };
     let started = Matrix3::new(1.0, 0.0, shift[0], 0.0, 1.0, shift[1], 0.0, 0.0, 1.0);
     let shifted = refine(&fine, b, &started, Free::Shift);
-    take(shifted, f64::from(GAIN));
+    take(shifted, GAIN);
     for start in [started, still] {
-        take(refine(&fine, b, &start, Free::All), f64::from(GAIN));
+        take(refine(&fine, b, &start, Free::All), GAIN);
     }
     if least.is_infinite() {
         return Ok(still);
@@ -220,7 +220,7 @@ fn coarse_to_fine(a: &Logs, b: &Logs) -> [f64; 2] {
             };
             let costs: Vec<_> = around.collect::<Vec<_>>().into_par_iter().map(|s| (of(&s), s)).collect();
             if let Some((least, best)) = costs.iter().min_by(|a, b| a.0.total_cmp(&b.0))
-                && *least < f64::from(GAIN) * of(&shift)
+                && *least < GAIN * of(&shift)
             {
                 shift = *best;
             }

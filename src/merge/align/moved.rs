@@ -32,6 +32,10 @@ impl Rows for Moved<'_> {
         self.codes.size()
     }
 
+    fn bits(&self) -> u32 {
+        self.codes.bits()
+    }
+
     fn rows(&self, range: Range<usize>) -> Result<CodeImage> {
         if self.still {
             return self.codes.rows(range);
