@@ -177,6 +177,52 @@ exposure = [{ file = "*.jpg", time_s = 0.01, f_number = 8.0, iso = 100 }]
 }
 
 #[test]
+fn vignetting_must_be_a_lens_s() {
+    check(&[
+        case(
+            "vignetting of no lens",
+            &[Set("[response]\nvignetting = [-1.5, 0.0, 0.0]\n")],
+            "response",
+            1,
+            "finding the vignetting: the vignetting would leave 0.04 of the light at some place of the picture, from 0.05 to 1.5 is believed",
+            "check `vignetting` in [response], or that role `flat` shows a surface of even brightness alone",
+        ),
+        case(
+            "vignetting out of range",
+            &[Set("[response]\nvignetting = [-3.0, 0.0, 0.0]\n")],
+            "response",
+            2,
+            "case.toml:3:1: `response.vignetting` is -3",
+            "give a number from -2 to 2; without it, it is 0, 0, 0",
+        ),
+        case(
+            "flat field clipped",
+            &[
+                Flat("plate_001", 255),
+                Set("[ingest.roles]\nplate = [\"plate_000.jpg\"]\nflat = [\"plate_001.jpg\"]\n"),
+            ],
+            "insitu run case.toml --to response",
+            1,
+            "finding the vignetting: 0 % of a photograph of role `flat` are well exposed, 70 % are needed",
+            "photograph a surface of even brightness so that it fills the picture, at a middle grey",
+        ),
+    ]);
+}
+
+#[cfg(not(feature = "raw"))]
+#[test]
+fn raw_files_are_named_where_insitu_cannot_read_them() {
+    check(&[case(
+        "RAW file",
+        &[Write("photos/plate.cr2", "II*"), Set("[ingest.roles]\nplate = [\"plate.cr2\"]\n")],
+        "ingest",
+        1,
+        "reading the header of a photograph: ./photos/plate.cr2: is a camera's RAW file, and insitu was built without them",
+        "build with `cargo build --release --features raw`, or develop all photographs alike to 16-bit TIFF in sRGB",
+    )]);
+}
+
+#[test]
 fn a_saved_response_is_checked() {
     check(&[
         case(
@@ -222,11 +268,11 @@ file = "curve.json"
 file = "curve.json"
 "#),
                 Copy("work/response/response.json", "curve.json"),
-                Swap("curve.json", "\"version\": 2", "\"version\": 1"),
+                Swap("curve.json", "\"version\": 3", "\"version\": 1"),
             ],
             "response",
             1,
-            "reading insitu-response: ./curve.json: has schema version 1, this insitu reads 2",
+            "reading insitu-response: ./curve.json: has schema version 1, this insitu reads 3",
             "copy or export the file again",
         ),
         case(
