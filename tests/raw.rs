@@ -136,8 +136,9 @@ fn a_raw_file_is_linear_rec709_and_saturates_in_all_channels() {
             saturated += 1;
             continue;
         }
+        // In the dark a step of the sensor's readings is more than that.
         let linear = Response::of_raw().exposure_of(seen);
-        for k in (0..3).filter(|k| truth[*k] < 0.99) {
+        for k in (0..3).filter(|k| truth.iter().all(|t| *t > 0.02) && truth[*k] < 0.99) {
             assert!((f64::from(linear[k]) / truth[k] - 1.0).abs() < 0.01, "{x} {y} {linear:?} {truth:?}");
             checked += 1;
         }

@@ -22,8 +22,11 @@ fn a_mixed_folder_is_sorted_by_content() {
         was.insert(new, name.clone());
     }
     assert_eq!(was.len(), names.len(), "numbers are used once");
-    let output =
-        Command::new(env!("CARGO_BIN_EXE_insitu")).args(["--quiet", "new"]).arg(folder.path()).output().unwrap();
+    let output = Command::new(env!("CARGO_BIN_EXE_insitu"))
+        .args(["--quiet", "new"])
+        .arg(folder.path())
+        .output()
+        .unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let text = std::fs::read_to_string(folder.path().join("pipeline.toml")).unwrap();
     let settings: toml::Table = text.parse().unwrap();
@@ -33,7 +36,8 @@ fn a_mixed_folder_is_sorted_by_content() {
         files.sort_unstable();
         files
     };
-    let named = |start: &str| names.iter().map(String::as_str).filter(|n| n.starts_with(start)).collect::<Vec<_>>();
+    let named =
+        |start: &str| names.iter().map(String::as_str).filter(|n| n.starts_with(start)).collect::<Vec<_>>();
     assert_eq!(with_role("probe"), named("probe_"));
     assert_eq!(with_role("plate_with_grid"), named("grid_with_probe"));
     assert_eq!(with_role("grid"), named("calib_"));

@@ -53,7 +53,7 @@ plaet = ["plate_000.jpg"]
 "#)],
             "ingest",
             2,
-            "case.toml:3:1: unknown variant `plaet`, expected one of `plate`, `brackets`, `plate_with_grid`, `probe`, `grid`, `frames`",
+            "case.toml:3:1: unknown variant `plaet`, expected one of `plate`, `brackets`, `plate_with_grid`, `probe`, `grid`, `flat`, `frames`",
             "did you mean `plate`?",
         ),
         case(
