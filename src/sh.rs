@@ -65,9 +65,12 @@ pub fn evaluate(coefficients: &Coefficients, direction: Vec3) -> [f32; 3] {
 /// Irradiance on a surface of unit `normal` under the radiance given by `coefficients`, clamped at zero: near a small
 /// bright source the truncated series rings below it.
 pub fn irradiance(coefficients: &Coefficients, normal: Vec3) -> [f32; 3] {
-    let mut y = basis(normal);
-    y.iter_mut().enumerate().for_each(|(i, y)| *y *= COSINE[degree(i)]);
-    combine(coefficients, y).map(|e| e.max(0.0))
+    evaluate(&convolved(coefficients), normal).map(|e| e.max(0.0))
+}
+
+/// Coefficients of irradiance by normal from those of radiance by direction.
+pub fn convolved(coefficients: &Coefficients) -> Coefficients {
+    std::array::from_fn(|i| coefficients[i].map(|c| COSINE[degree(i)] * c))
 }
 
 /// Degree l of the `i`-th harmonic.

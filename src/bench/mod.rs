@@ -10,6 +10,7 @@ mod gpu;
 mod growth;
 mod intensity;
 mod ldr;
+mod light;
 mod methods;
 mod occlusion;
 mod passes;
@@ -49,6 +50,8 @@ pub enum Table {
     Intensity,
     /// The 8-bit method against radiance, in code values.
     Ldr,
+    /// Light from the probe against the truth: where lamps are seen, irradiance, reflectance, by stage.
+    Light,
     /// What each stage adds to the error against a capture's truth.
     Breakdown,
     /// The methods against a capture's truth, with the true scene model.
@@ -107,6 +110,7 @@ pub fn bench(
             Table::Growth => growth::print(pictures, printer)?,
             Table::Intensity => intensity::print(&ready(&settings, printer)?, pictures, printer)?,
             Table::Ldr => ldr::print(&settings, &ready(&settings, printer)?, pictures, printer)?,
+            Table::Light => light::print(&settings, printer)?,
             Table::Breakdown => breakdown::print(&settings, printer)?,
             Table::Truth => truth::print(&settings, pictures, printer)?,
             Table::Methods => methods::print(&settings, frames, printer)?,

@@ -23,7 +23,7 @@ fn isometry(r: [f64; 9], t: [f64; 3]) -> Isometry3<f64> {
 
 impl Truth {
     /// The truth's world (+Z up) in ours, whose axes are those of the grid.
-    fn world_from_truth(&self) -> Result<Isometry3<f64>, Problem> {
+    pub(super) fn world_from_truth(&self) -> Result<Isometry3<f64>, Problem> {
         let m: [f64; 16] = Self::numbers(&self.value["grid"]["world_from_board"], "grid.world_from_board")?;
         let r = [m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]];
         Ok(world_from_grid() * isometry(r, [m[3], m[7], m[11]]).inverse())
@@ -136,7 +136,7 @@ impl Truth {
         primitives.map(|p| Ok((name(p)?, Self::numbers(&p["emit"], "primitives.emit")?))).collect()
     }
 
-    fn primitives(&self) -> Result<&Vec<Value>, Problem> {
+    pub(super) fn primitives(&self) -> Result<&Vec<Value>, Problem> {
         self.value["primitives"].as_array().ok_or(Problem::Shape("primitives".into()))
     }
 

@@ -3,6 +3,7 @@
 
 use crate::illuminate::patch::DistantSource;
 use crate::image::luminance;
+use crate::sh;
 use crate::visibility::Bvh;
 use glam::Vec3;
 
@@ -42,5 +43,12 @@ impl<'a> Beams<'a> {
             }
         }
         sum
+    }
+
+    /// Harmonics of the beams' radiance at a point.
+    pub fn harmonics(&self, position: Vec3) -> sh::Coefficients {
+        let seen = |s: &&DistantSource| !self.scene.any_hit(position, s.direction, START_M, f32::MAX);
+        let beams = self.sources.iter().filter(seen);
+        sh::project(beams.map(|s| (s.direction, s.radiance, f64::from(s.solid_angle_sr))))
     }
 }

@@ -301,7 +301,7 @@ fn incident(
 }
 
 /// The `i`-th of `n` directions spread evenly over the sphere (Fibonacci lattice).
-fn sphere_direction(i: usize, n: usize) -> Vec3 {
+pub(crate) fn sphere_direction(i: usize, n: usize) -> Vec3 {
     const GOLDEN: f64 = 0.618_033_988_749_894_9;
     let y = 1.0 - (2.0 * i as f64 + 1.0) / n as f64;
     let r = (1.0 - y * y).sqrt();
