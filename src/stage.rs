@@ -39,7 +39,7 @@ pub const STAGES: &[Stage] = &[
     Stage { name: "calibrate", version: 1, reads: &["ingest"], about: "find lens and camera poses" },
     Stage {
         name: "probe",
-        version: 3,
+        version: 4,
         reads: &["ingest", "response", "calibrate"],
         about: "merge the probe's exposures, find the ball, unwrap it",
     },
@@ -51,11 +51,11 @@ pub const STAGES: &[Stage] = &[
     },
     Stage {
         name: "illuminate",
-        version: 1,
+        version: 2,
         reads: &["merge", "calibrate", "probe", "model"],
         about: "carry the probe's radiance onto a patch mesh",
     },
-    Stage { name: "irradiance", version: 2, reads: &["illuminate"], about: "build the irradiance volume" },
+    Stage { name: "irradiance", version: 3, reads: &["illuminate"], about: "build the irradiance volume" },
     Stage {
         name: "transfer",
         version: 3,

@@ -15,7 +15,7 @@ pub use assemble::assemble;
 pub use decode::{decode, decode_stored};
 pub use header::{Header, header_digest};
 pub use problem::{Problem, role_name};
-pub use roles::{Assignment, assign, derive, list, listing_digest};
+pub use roles::{Assignment, assign, derive, glob, list, listing_digest};
 pub use rows::{Rows, Samples, Spooled, Stored, put_aside};
 
 use crate::artefact::json::JsonArtefact;

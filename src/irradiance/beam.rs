@@ -30,7 +30,17 @@ pub struct Beams<'a> {
 impl<'a> Beams<'a> {
     /// Of the light model's distant sources; `scene` holds the surfaces that cast shadows.
     pub fn new(distant: &[DistantSource], scene: &'a Bvh) -> Self {
-        Self { sources: split(distant).0, scene }
+        Self { sources: Self::sources(distant), scene }
+    }
+
+    /// The beams among distant light.
+    pub fn sources(distant: &[DistantSource]) -> Vec<DistantSource> {
+        split(distant).0
+    }
+
+    /// Whether nothing of the scene stands between two points.
+    pub(super) fn sees(&self, from: Vec3, to: Vec3) -> bool {
+        !self.scene.any_hit(from, to - from, 0.0, 1.0)
     }
 
     /// Irradiance on a surface of unit `normal`, plate units.

@@ -4,6 +4,7 @@
 mod lamps;
 mod points;
 mod surfaces;
+pub(super) mod volume;
 
 use super::breakdown::{COLUMNS, true_workspace_to};
 use super::truth::has_truth;
