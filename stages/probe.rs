@@ -72,7 +72,6 @@ fn balls(ctx: &Context, capture: &Capture) -> Result<(ProbeFit, Unwrapped)> {
         let (mut view, merged) = one_view(ctx, capture, given, i)?;
         if let (Some(first), true, ProbeCamera::Crop) = (views.first(), settings.turn_views, settings.camera) {
             let (turn, agreement) = views::turn(&view, first, photographer);
-            ctx.figure(&format!("view_{i}_turn_deg"), turn.angle().to_degrees());
             ctx.figure(&format!("view_{i}_agreement"), agreement);
             if agreement < AGREEMENT {
                 return Err(Problem::Unlike { files: given.files.clone(), agreement, needed: AGREEMENT })
@@ -81,6 +80,9 @@ fn balls(ctx: &Context, capture: &Capture) -> Result<(ProbeFit, Unwrapped)> {
             let fit = views::turned(&view.fit, &turn);
             let seen =
                 unwrap::unwrap(&fit, &merged.radiance, &merged.clipped, settings).doing("unwrapping the ball")?;
+            let [azimuth, elevation] = crop::direction_deg(&fit);
+            ctx.figure(&format!("view_{i}_azimuth_deg"), azimuth);
+            ctx.figure(&format!("view_{i}_elevation_deg"), elevation);
             view = View { fit, seen };
         }
         if let Some(ratio) = views.first().and_then(|first| views::ratio(&view, first, photographer)) {

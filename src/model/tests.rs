@@ -372,7 +372,8 @@ fn the_glb_has_its_lights_where_they_shine() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.glb");
     super::gltf::write(&path, &scene, &cameras()["plate.jpg"], &[spot, sun]).unwrap();
-    let glb = ::gltf::binary::Glb::from_slice(&std::fs::read(&path).unwrap()).unwrap().into_owned();
+    let bytes = std::fs::read(&path).unwrap();
+    let glb = ::gltf::binary::Glb::from_slice(&bytes).unwrap();
     let json: serde_json::Value = serde_json::from_slice(&glb.json).unwrap();
     let lights = &json["extensions"]["KHR_lights_punctual"]["lights"];
     assert_eq!(json["extensionsUsed"], serde_json::json!(["KHR_lights_punctual"]));

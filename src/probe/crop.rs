@@ -13,6 +13,12 @@ pub fn looking(azimuth_deg: f64, elevation_deg: f64) -> (Vector3<f64>, Vector3<f
     (world * Vector3::new(ce * ca, ce * sa, se), world * Vector3::new(-se * ca, -se * sa, ce))
 }
 
+/// Azimuth and elevation of a camera as seen from its ball, degrees; inverse of [`looking`].
+pub fn direction_deg(fit: &ProbeFit) -> [f64; 2] {
+    let d = world_from_grid().inverse() * (fit.camera.centre() - fit.centre).normalize();
+    [d.y.atan2(d.x).to_degrees(), d.z.clamp(-1.0, 1.0).asin().to_degrees()]
+}
+
 /// Rotation of a camera that looks along `forward`, with `up` up in its picture; both at right angles.
 pub fn rotation(forward: &Vector3<f64>, up: &Vector3<f64>) -> Rotation3<f64> {
     Rotation3::from_basis_unchecked(&[forward.cross(up), -up, *forward])
@@ -76,6 +82,8 @@ mod tests {
         let (d, up) = looking(90.0, 0.0);
         assert!((d - Vector3::new(0.0, 0.0, -1.0)).norm() < 1e-9 && (up - Vector3::y()).norm() < 1e-9);
         let above = fit.camera.centre().y - fit.centre.y;
+        let [azimuth, elevation] = direction_deg(&fit);
+        assert!((azimuth - 30.0).abs() < 1e-9 && (elevation - 25.0).abs() < 1e-9);
         assert!((above - 0.7 * 25f64.to_radians().sin()).abs() < 1e-9);
     }
 
