@@ -52,7 +52,9 @@ fn lens_or_map(ctx: &Context, capture: &Capture) -> Result<(ProbeFit, Unwrapped)
     .doing("taking the environment from the photographs of role `probe`")?;
     if out.clipped_power_share > 0.0 {
         let percent = 100.0 * out.clipped_power_share;
-        ctx.warn(format!("{percent:.0} % of the light is clipped in every exposure of the probe: add a shorter one"));
+        ctx.warn(format!(
+            "{percent:.0} % of the light is clipped in every exposure of the probe: add a shorter one"
+        ));
     }
     Ok((fit, out))
 }
@@ -70,7 +72,8 @@ fn balls(ctx: &Context, capture: &Capture) -> Result<(ProbeFit, Unwrapped)> {
     let mut views: Vec<View> = Vec::new();
     for (i, given) in given.iter().enumerate() {
         let (mut view, merged) = one_view(ctx, capture, given, i)?;
-        if let (Some(first), true, ProbeCamera::Crop) = (views.first(), settings.turn_views, settings.camera) {
+        if let (Some(first), true, ProbeCamera::Crop) = (views.first(), settings.turn_views, settings.camera)
+        {
             let (turn, agreement) = views::turn(&view, first, photographer);
             ctx.figure(&format!("view_{i}_agreement"), agreement);
             if agreement < AGREEMENT {
@@ -78,8 +81,8 @@ fn balls(ctx: &Context, capture: &Capture) -> Result<(ProbeFit, Unwrapped)> {
                     .doing("turning the views of the ball onto each other");
             }
             let fit = views::turned(&view.fit, &turn);
-            let seen =
-                unwrap::unwrap(&fit, &merged.radiance, &merged.clipped, settings).doing("unwrapping the ball")?;
+            let seen = unwrap::unwrap(&fit, &merged.radiance, &merged.clipped, settings)
+                .doing("unwrapping the ball")?;
             let [azimuth, elevation] = crop::direction_deg(&fit);
             ctx.figure(&format!("view_{i}_azimuth_deg"), azimuth);
             ctx.figure(&format!("view_{i}_elevation_deg"), elevation);
@@ -88,17 +91,25 @@ fn balls(ctx: &Context, capture: &Capture) -> Result<(ProbeFit, Unwrapped)> {
         if let Some(ratio) = views.first().and_then(|first| views::ratio(&view, first, photographer)) {
             ctx.figure(&format!("view_{i}_over_first"), ratio);
             if !ALIKE.contains(&ratio) {
-                ctx.warn(format!("the view `{}` is {ratio:.2} times as bright as the first one", given.files));
+                ctx.warn(format!(
+                    "the view `{}` is {ratio:.2} times as bright as the first one",
+                    given.files
+                ));
             }
         }
         views.push(view);
     }
-    let out = views::combine(&views, photographer).ok_or_else(|| Error::Bug("a ball without a view".into()))?;
+    let out =
+        views::combine(&views, photographer).ok_or_else(|| Error::Bug("a ball without a view".into()))?;
     Ok((views.swap_remove(0).fit, out))
 }
 
 /// The photographs of a view, merged.
-fn photographs<'a>(ctx: &Context, capture: &'a Capture, view: &ProbeView) -> Result<(Vec<&'a Photo>, Merged)> {
+fn photographs<'a>(
+    ctx: &Context,
+    capture: &'a Capture,
+    view: &ProbeView,
+) -> Result<(Vec<&'a Photo>, Merged)> {
     let photos: Vec<&Photo> = capture.with_role(Role::Probe).filter(|p| glob(&view.files, &p.file)).collect();
     if photos.is_empty() && capture.with_role(Role::Probe).next().is_some() {
         return Err(Problem::EmptyView { files: view.files.clone() }).doing("sorting the views of the ball");

@@ -52,6 +52,8 @@ pub enum Table {
     Ldr,
     /// Light from the probe against the truth: where lamps are seen, irradiance, reflectance, by stage.
     Light,
+    /// The probe's environment of the settings named against published maps of the same place, `latlon.hdr` beside them.
+    Panorama,
     /// Building an irradiance volume: growth with patches and points, and against ray casting in Mitsuba.
     Volume,
     /// What each stage adds to the error against a capture's truth.
@@ -115,6 +117,7 @@ pub fn bench(
             Table::Intensity => intensity::print(&ready(&settings, printer)?, pictures, printer)?,
             Table::Ldr => ldr::print(&settings, &ready(&settings, printer)?, pictures, printer)?,
             Table::Light => light::print(&settings, printer)?,
+            Table::Panorama => light::panorama::print(&settings, environments, printer)?,
             Table::Volume => light::volume::print(printer)?,
             Table::Breakdown => breakdown::print(&settings, printer)?,
             Table::Truth => truth::print(&settings, pictures, printer)?,

@@ -170,7 +170,8 @@ pub(super) fn check(pipeline: &Pipeline) -> Option<Outside> {
 
 /// Of the entries of `probe.views`.
 fn views(value: &toml::Value) -> Option<Outside> {
-    const VIEW: [(&str, Range); 2] = [("azimuth_deg", From(-360.0, 360.0)), ("elevation_deg", From(-90.0, 90.0))];
+    const VIEW: [(&str, Range); 2] =
+        [("azimuth_deg", From(-360.0, 360.0)), ("elevation_deg", From(-90.0, 90.0))];
     for view in value.get("probe")?.get("views")?.as_array()? {
         for (key, range) in VIEW {
             let bad = view.get(key).and_then(|v| numbers(v).into_iter().find(|v| !range.holds(*v)));

@@ -237,7 +237,8 @@ impl Stage {
             Some(sky) => whole_sky(sky, settings),
             None => self.distant(env, settings, probe_blur),
         };
-        let mut seen: Vec<bool> = self.mesh.patches.iter().map(|p| p.evidence != Evidence::Gathered).collect();
+        let mut seen: Vec<bool> =
+            self.mesh.patches.iter().map(|p| p.evidence != Evidence::Gathered).collect();
         let mut gather = Gather::new(&self.mesh, &distant.sources, &self.bvh, |i| seen[i]);
         let rho = settings.unseen_reflectance.clamp(0.0, MAX_REFLECTANCE);
         let mut irradiance = gather.irradiance(&self.mesh);
@@ -281,12 +282,7 @@ impl Stage {
 
     /// A primitive that shines wherever it is seen shines all over: its unseen patches get the mean radiance of the seen ones.
     /// Returns how many such lamps have a side that nothing shows.
-    fn complete_lamps(
-        &mut self,
-        seen: &mut [bool],
-        irradiance: &[[f32; 3]],
-        primitives: &[usize],
-    ) -> usize {
+    fn complete_lamps(&mut self, seen: &mut [bool], irradiance: &[[f32; 3]], primitives: &[usize]) -> usize {
         let count = primitives.iter().max().map_or(0, |m| m + 1);
         // By primitive: area seen, area that shines, radiance × area that shines, whether there is more.
         let mut sums = vec![(0.0f64, 0.0f64, [0.0f64; 3], false); count];

@@ -76,11 +76,15 @@ fn a_lamp_shines_to_its_unseen_side_too() {
     });
     let built = build(&faces, &env, None, &Known::default(), &Default::default(), |_| 0.0).unwrap();
     assert_eq!(built.figure("lamps_completed"), Some(1.0));
-    let lamp = (0..built.light.mesh.patches.len()).filter(|i| built.light.mesh.patches[*i].face >= 6);
-    for i in lamp {
-        let l = built.light.mesh.patches[i].radiance[0];
-        assert!((l / 60.0 - 1.0).abs() < 0.25, "{l} at {}", built.light.mesh.centroid(i));
+    let mesh = &built.light.mesh;
+    let lamp: Vec<usize> = (0..mesh.patches.len()).filter(|i| mesh.patches[*i].face >= 6).collect();
+    // Borders of what is seen mix with what is behind.
+    for &i in lamp.iter().filter(|i| mesh.patches[**i].evidence == Evidence::Gathered) {
+        let l = mesh.patches[i].radiance[0];
+        assert!((l / 60.0 - 1.0).abs() < 0.2, "{l} at {}", mesh.centroid(i));
     }
+    let sent: f64 = lamp.iter().map(|&i| power(mesh, i)).sum();
+    assert!((sent / (60.0 * 0.24) - 1.0).abs() < 0.2, "{sent}");
 }
 
 #[test]

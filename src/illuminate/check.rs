@@ -63,7 +63,9 @@ pub fn check(
     let mut figures = Vec::new();
     // By patch, so that texture averages out.
     let mut departures: Vec<(f64, f64, u32)> = (0..mesh.patches.len())
-        .filter(|&i| mesh.patches[i].evidence == Evidence::Plate && !shines(mesh.patches[i].radiance, irradiance[i]))
+        .filter(|&i| {
+            mesh.patches[i].evidence == Evidence::Plate && !shines(mesh.patches[i].radiance, irradiance[i])
+        })
         .filter_map(|i| {
             let stops = stops(mesh.patches[i].radiance, predicted(i)?)?;
             Some((f64::from(stops), f64::from(mesh.area(i)), mesh.patches[i].face))

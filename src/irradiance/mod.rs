@@ -144,7 +144,8 @@ impl Volume {
     /// Irradiance of all light, beams included. Nodes that the scene hides from the point are left out: walls that are thinner
     /// than the grid do not leak.
     pub fn irradiance_with(&self, beams: &Beams, position: Vec3, normal: Vec3) -> [f32; 3] {
-        let nodes = self.blended(&self.windowed, position, |node| beams.sees(position + normal * OFF_M, node));
+        let nodes =
+            self.blended(&self.windowed, position, |node| beams.sees(position + normal * OFF_M, node));
         let (soft, hard) = (sh::irradiance(&nodes, normal), beams.irradiance(position, normal));
         std::array::from_fn(|k| soft[k] + hard[k])
     }

@@ -102,7 +102,7 @@ fn nodes_inside_a_box_are_left_out() {
 
 #[test]
 fn a_thin_wall_does_not_leak() {
-    // A partition at x = 0.1, between nodes, bright on its right side and with the room there.
+    // A partition at x = 0.1, between nodes, that shines to its right side.
     let mut faces = room::faces(4.0, 3.0, 4.0);
     let wall = |x: f64, turn: bool| {
         let mut corners = [[x, 0.0, -2.0], [x, 0.0, 2.0], [x, 3.0, 2.0], [x, 3.0, -2.0]];
@@ -118,19 +118,20 @@ fn a_thin_wall_does_not_leak() {
     faces.extend([wall(0.10, true), wall(0.11, false)]);
     let mut light = light(&faces, [0.0; 3]);
     for i in 0..light.mesh.patches.len() {
-        let lit = light.mesh.centroid(i).x > 0.105;
-        light.mesh.patches[i].radiance = [f32::from(u8::from(lit)); 3];
+        let shines = (light.mesh.centroid(i).x - 0.11).abs() < 1e-3;
+        light.mesh.patches[i].radiance = [f32::from(u8::from(shines)); 3];
     }
     let v = Volume::build(&light, 0.0, &settings()).unwrap();
     let bvh = Bvh::new(&light.mesh.vertices, &light.mesh.triangles());
     let beams = Beams::new(&[], &bvh);
     let on = |x: f32, normal: Vec3| v.irradiance_with(&beams, Vec3::new(x, 1.0, 0.3), normal)[0] / PI;
-    for x in [-0.3, 0.0, 0.08] {
-        assert!(on(x, Vec3::NEG_X) < 1e-6 && on(x, Vec3::Y) < 1e-6, "dark side, {x}: {}", on(x, Vec3::Y));
-        assert!(v.irradiance(Vec3::new(x, 1.0, 0.3), Vec3::Y)[0] / PI > 0.1, "without a look it would leak");
+    for x in [0.03, 0.05, 0.08] {
+        assert!(on(x, Vec3::NEG_X) < 1e-6, "dark side, {x}: {}", on(x, Vec3::NEG_X));
+        let leak = v.irradiance(Vec3::new(x, 1.0, 0.3), Vec3::NEG_X)[0] / PI;
+        assert!(leak > 0.03, "without a look it would leak: {leak}");
     }
     for x in [0.13, 0.3] {
-        assert!((on(x, Vec3::Y) - 1.0).abs() < 0.02, "lit side, {x}: {}", on(x, Vec3::Y));
+        assert!(on(x, Vec3::NEG_X) > 0.7, "lit side, {x}: {}", on(x, Vec3::NEG_X));
     }
 }
 

@@ -384,7 +384,8 @@ fn the_glb_has_its_lights_where_they_shine() {
     let lit: Vec<_> = nodes.iter().filter(|n| n["extensions"].is_object()).collect();
     assert_eq!(lit.len(), 2);
     let down = |node: &serde_json::Value| {
-        let q: Vec<f32> = node["rotation"].as_array().unwrap().iter().map(|v| v.as_f64().unwrap() as f32).collect();
+        let q: Vec<f32> =
+            node["rotation"].as_array().unwrap().iter().map(|v| v.as_f64().unwrap() as f32).collect();
         glam::Quat::from_xyzw(q[0], q[1], q[2], q[3]) * Vec3::NEG_Z
     };
     assert!((down(lit[0]) - Vec3::NEG_Y).length() < 1e-5);

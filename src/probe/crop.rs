@@ -36,7 +36,10 @@ pub fn fit(
     }
     let radius_px = width.min(height) as f64 / 2.0;
     if 2.0 * radius_px < super::find::MIN_DIAMETER_PX {
-        return Err(Problem::TooSmall { diameter_px: 2.0 * radius_px, needed_px: super::find::MIN_DIAMETER_PX });
+        return Err(Problem::TooSmall {
+            diameter_px: 2.0 * radius_px,
+            needed_px: super::find::MIN_DIAMETER_PX,
+        });
     }
     let focal = radius_px / sine.asin().tan();
     let centre = world_from_grid() * Point3::from(settings.position_m);

@@ -52,7 +52,8 @@ impl Projection {
             Self::Stereographic => Some(2.0 * (radius / 2.0).atan()),
             Self::Calibrated(_) => {
                 // The first angle of that radius: bisection up to where the radius is passed.
-                let mut high = (1..=64).map(|i| PI * f64::from(i) / 64.0).find(|a| self.radius(*a) >= radius)?;
+                let mut high =
+                    (1..=64).map(|i| PI * f64::from(i) / 64.0).find(|a| self.radius(*a) >= radius)?;
                 let mut low = high - PI / 64.0;
                 while high - low > CLOSE {
                     let middle = 0.5 * (low + high);
@@ -80,7 +81,8 @@ pub fn unwrap(
             let (mut sum, mut weights, mut lost) = ([0.0f64; 3], 0.0, 0.0);
             for s in 0..SAMPLES * SAMPLES {
                 let at = |c: usize, k: usize| c as f32 + (k as f32 + 0.5) / SAMPLES as f32;
-                let d = latlong::direction(at(i % width, s % SAMPLES), at(i / width, s / SAMPLES), width, height);
+                let d =
+                    latlong::direction(at(i % width, s % SAMPLES), at(i / width, s / SAMPLES), width, height);
                 let Some(([x, y], angle)) = lens.pixel(d) else { continue };
                 if !(0.0..w).contains(&x) || !(0.0..h).contains(&y) {
                     continue;
@@ -136,7 +138,9 @@ mod tests {
 
     #[test]
     fn each_lens_shows_the_same_light() {
-        let sky = |d: Vec3| [1.0 + 0.5 * d.x, 1.0 + 0.3 * d.z, if d.angle_between(Vec3::Y) < 0.3 { 9.0 } else { 0.2 }];
+        let sky = |d: Vec3| {
+            [1.0 + 0.5 * d.x, 1.0 + 0.3 * d.z, if d.angle_between(Vec3::Y) < 0.3 { 9.0 } else { 0.2 }]
+        };
         for projection in ALL {
             let edge = projection.radius(1.5);
             let lens = Fisheye {

@@ -186,7 +186,9 @@ pub enum Problem {
         radius_m: f64,
     },
     /// Several views that do not show the same.
-    #[error("the view `{files}` agrees with the first one by a correlation of {agreement:.2}, {needed:.2} is needed")]
+    #[error(
+        "the view `{files}` agrees with the first one by a correlation of {agreement:.2}, {needed:.2} is needed"
+    )]
     Unlike {
         /// Pattern of its photographs.
         files: String,
@@ -240,7 +242,9 @@ impl crate::error::Problem for Problem {
             Self::OtherSize { .. } => "set probe.camera = \"grid\" and show the printed grid beside the ball",
             Self::Focal(_) => "give probe.focal_px, px per radian in the middle of the picture",
             Self::Near { .. } => "give probe.distance_m, from the camera to the ball's middle",
-            Self::Unlike { .. } => "check that all views are of one ball in one place, and each view's elevation_deg",
+            Self::Unlike { .. } => {
+                "check that all views are of one ball in one place, and each view's elevation_deg"
+            }
             Self::EmptyView { .. } => "check `files` under [[probe.views]]",
             Self::Shape { .. } => "check probe.layout",
             Self::CutOff { .. } => "use a picture that shows the whole ball",

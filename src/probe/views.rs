@@ -163,9 +163,12 @@ impl<'a> Logarithms<'a> {
         let column = |k: i64| (fx.floor() as i64 + k).rem_euclid(w as i64) as usize;
         let row = |k: usize| (fy as usize + k).min(h - 1);
         let mut sum = 0.0;
-        for (dx, dy, weight) in
-            [(0, 0, (1.0 - ax) * (1.0 - ay)), (1, 0, ax * (1.0 - ay)), (0, 1, (1.0 - ax) * ay), (1, 1, ax * ay)]
-        {
+        for (dx, dy, weight) in [
+            (0, 0, (1.0 - ax) * (1.0 - ay)),
+            (1, 0, ax * (1.0 - ay)),
+            (0, 1, (1.0 - ax) * ay),
+            (1, 1, ax * ay),
+        ] {
             let i = row(dy) * w + column(dx);
             if self.environment.weight[i] < SURE {
                 return None;

@@ -20,7 +20,8 @@ pub fn levels(environment: &Environment) -> Planes {
     let ggx = ROUGHNESS.map(|a| (format!("ggx_{a}"), Prefiltered::ggx(environment, a)));
     let phong = EXPONENTS.map(|n| (format!("phong_{n}"), Prefiltered::phong(environment, n)));
     for (name, level) in ggx.into_iter().chain(phong) {
-        let means: Vec<[f32; 3]> = (0..width * height).map(|i| level.radiance(environment.texel(i).0)).collect();
+        let means: Vec<[f32; 3]> =
+            (0..width * height).map(|i| level.radiance(environment.texel(i).0)).collect();
         for (k, channel) in ["R", "G", "B"].into_iter().enumerate() {
             planes = planes.with(&format!("{name}.{channel}"), means.iter().map(|m| m[k]).collect());
         }
@@ -102,7 +103,13 @@ mod tests {
     fn levels_keep_even_light_and_spread_a_lamp_the_more_the_rougher() {
         let even = Environment { map: Image::from_fn(64, 32, |_, _| Radiance([2.0, 1.0, 0.5])) };
         for (name, plane) in &levels(&even).channels {
-            let truth = if name.ends_with('R') { 2.0 } else if name.ends_with('G') { 1.0 } else { 0.5 };
+            let truth = if name.ends_with('R') {
+                2.0
+            } else if name.ends_with('G') {
+                1.0
+            } else {
+                0.5
+            };
             assert!(plane.iter().all(|v| (v / truth - 1.0).abs() < 1e-3), "{name}");
         }
         let towards = Vec3::new(0.6, 0.64, 0.48).normalize();

@@ -130,8 +130,7 @@ impl Around {
             return None;
         }
         let excess = |i: &usize| (light(i) - ring * angle(i)).max(0.0);
-        let moment: DVec3 =
-            self.lamp.iter().map(|i| environment.direction(*i).as_dvec3() * excess(i)).sum();
+        let moment: DVec3 = self.lamp.iter().map(|i| environment.direction(*i).as_dvec3() * excess(i)).sum();
         Some((moment.normalize_or_zero(), all - back))
     }
 }

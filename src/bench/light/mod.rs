@@ -2,6 +2,7 @@
 //! them, irradiance at the ball and at points of the room, reflectance of the surfaces that the plate shows.
 
 mod lamps;
+pub(super) mod panorama;
 mod points;
 mod surfaces;
 pub(super) mod volume;
@@ -59,8 +60,7 @@ impl Judged {
         let map = truth.environment_file().doing(doing())?;
         let map = path.with_file_name(Path::new(map).file_name().unwrap_or_default());
         let centre = truth.probe("", 2).doing(doing())?.centre;
-        let environment =
-            truth.environment(&exr::read_radiance(&map)?, scale, centre).doing(doing())?;
+        let environment = truth.environment(&exr::read_radiance(&map)?, scale, centre).doing(doing())?;
         let light = read_light(&workspace.folder("illuminate"))?;
         Ok(Self {
             scale,
@@ -78,8 +78,9 @@ impl Judged {
 fn read_environment(workspace: &Workspace) -> Result<Environment> {
     let path = workspace.folder("probe").join("environment.exr");
     let planes = exr::read(&path)?;
-    Environment::from_planes(&planes)
-        .ok_or_else(|| Error::file("reading a picture", &path, "lacks planes that it must have", remake(&path)))
+    Environment::from_planes(&planes).ok_or_else(|| {
+        Error::file("reading a picture", &path, "lacks planes that it must have", remake(&path))
+    })
 }
 
 /// All figures of one light.
@@ -132,7 +133,14 @@ pub(super) fn print(settings: &[PathBuf], printer: &Printer) -> Result<()> {
         }
         printer.data(&format!(
             "\n{:<16}{:>14}{:>14}{:>10}{:>10}{:>8}{:>12}{:>8}",
-            validate::name(file), "lamps in ball", "in the model", "axes", "points", "worst", "surfaces", "worst"
+            validate::name(file),
+            "lamps in ball",
+            "in the model",
+            "axes",
+            "points",
+            "worst",
+            "surfaces",
+            "worst"
         ));
         let mut details = Vec::new();
         for (name, ours) in COLUMNS.into_iter().take(6).chain([LIGHT_OURS, COLUMNS[6]]) {
@@ -140,7 +148,11 @@ pub(super) fn print(settings: &[PathBuf], printer: &Printer) -> Result<()> {
             let [ball, model, axes, points, point, surfaces, surface] = figures.row();
             printer.data(&format!(
                 "{name:<16}{ball:>14.2}{model:>14.2}{:>10.1}{:>10.1}{:>8.1}{:>12.1}{:>8.1}",
-                100.0 * axes, 100.0 * points, 100.0 * point, 100.0 * surfaces, 100.0 * surface
+                100.0 * axes,
+                100.0 * points,
+                100.0 * point,
+                100.0 * surfaces,
+                100.0 * surface
             ));
             if name == LIGHT_OURS.0 || ours.len() == TrueStage::ALL.len() {
                 details.push((name, figures));
@@ -149,7 +161,11 @@ pub(super) fn print(settings: &[PathBuf], printer: &Printer) -> Result<()> {
         let [lamp, axis, point, surface] = GOALS;
         printer.data(&format!(
             "{:<16}{lamp:>14.2}{lamp:>14.2}{:>10.1}{:>10.1}{:>8}{:>12.1}",
-            "goal of light", 100.0 * axis, 100.0 * point, "", 100.0 * surface
+            "goal of light",
+            100.0 * axis,
+            100.0 * point,
+            "",
+            100.0 * surface
         ));
         for (name, figures) in &details {
             print_details(name, figures, printer);

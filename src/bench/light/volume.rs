@@ -51,7 +51,9 @@ fn error(volume: &Volume, reference: &Volume) -> f64 {
 /// Prints growth and comparison.
 pub(in crate::bench) fn print(printer: &Printer) -> Result<()> {
     let [x, y, z] = SIZE;
-    printer.data(&format!("\nirradiance volume of the lobby, {RAYS} rays a point and strong patches one by one: time, s"));
+    printer.data(&format!(
+        "\nirradiance volume of the lobby, {RAYS} rays a point and strong patches one by one: time, s"
+    ));
     let build = |light: &LightModel, size, rays| {
         let started = Instant::now();
         let volume = Volume::on_grid(light, grid(light, size), rays).doing("building the volume")?;
@@ -89,11 +91,17 @@ pub(in crate::bench) fn print(printer: &Printer) -> Result<()> {
     match mitsuba(folder.path(), off) {
         Ok(rows) => {
             for [rays, time, error] in &rows {
-                printer.data(&format!("Mitsuba: {rays:>8} rays a point: {time:>8.2} s, error {:.2} %", 100.0 * error));
+                printer.data(&format!(
+                    "Mitsuba: {rays:>8} rays a point: {time:>8.2} s, error {:.2} %",
+                    100.0 * error
+                ));
             }
             if let Some([rays, time, error]) = rows.last() {
                 let reached = if *error <= off { "the same error" } else { "a larger error" };
-                printer.data(&format!("Mitsuba by {rays} rays a point takes {:.1} times as long for {reached}", time / seconds));
+                printer.data(&format!(
+                    "Mitsuba by {rays} rays a point takes {:.1} times as long for {reached}",
+                    time / seconds
+                ));
             }
         }
         Err(why) => printer.data(&format!(
