@@ -62,23 +62,27 @@ pub fn check(
     let (probe, probe_residual) = probe_picture(light, env, distant, &bvh);
     let mut figures = Vec::new();
     // By patch, so that texture averages out.
-    let mut departures: Vec<(f64, f64, u32)> = (0..mesh.patches.len())
+    let mut departures: Vec<Weighed> = (0..mesh.patches.len())
         .filter(|&i| {
             mesh.patches[i].evidence == Evidence::Plate && !shines(mesh.patches[i].radiance, irradiance[i])
         })
         .filter_map(|i| {
             let stops = stops(mesh.patches[i].radiance, predicted(i)?)?;
-            Some((f64::from(stops), f64::from(mesh.area(i)), mesh.patches[i].face))
+            let weight = f64::from(mesh.area(i));
+            Some(Weighed { value: f64::from(stops), weight, face: mesh.patches[i].face })
         })
         .collect();
     let worst_face = worst(&departures);
-    departures.iter_mut().for_each(|d| d.0 = d.0.abs());
+    departures.iter_mut().for_each(|d| d.value = d.value.abs());
     for (name, share) in [("plate_residual_median_stops", 0.5), ("plate_residual_95_stops", 0.95)] {
         figures.extend(quantile(&mut departures, share).map(|v| (name, v)));
     }
-    let mut seen: Vec<(f64, f64, u32)> = (0..env.weight.len())
+    let mut seen: Vec<Weighed> = (0..env.weight.len())
         .filter(|&i| env.weight[i] > SURE)
-        .map(|i| (f64::from(probe_residual.pixels()[i].abs()), env.solid_angle(i), 0))
+        .map(|i| {
+            let value = f64::from(probe_residual.pixels()[i].abs());
+            Weighed { value, weight: env.solid_angle(i), face: 0 }
+        })
         .collect();
     for (name, share) in [("probe_residual_median_stops", 0.5), ("probe_residual_95_stops", 0.95)] {
         figures.extend(quantile(&mut seen, share).map(|v| (name, v)));
@@ -96,6 +100,15 @@ pub fn check(
     Check { plate: picture, plate_residual, probe, probe_residual, figures, worst_face }
 }
 
+/// A value of a part of a face.
+#[derive(Clone, Copy)]
+struct Weighed {
+    value: f64,
+    /// Area, m², or solid angle, sr.
+    weight: f64,
+    face: u32,
+}
+
 /// Whether a patch sends far more light than it gets.
 pub(super) fn shines(radiance: [f32; 3], irradiance: [f32; 3]) -> bool {
     PI * luminance(radiance) > SHINES * luminance(irradiance)
@@ -111,7 +124,7 @@ fn stops(seen: [f32; 3], predicted: [f32; 3]) -> Option<f32> {
 /// does not fit shows.
 fn by_face(light: &LightModel, irradiance: &[[f32; 3]]) -> BTreeMap<u32, [f32; 3]> {
     let mesh = &light.mesh;
-    let mut all: BTreeMap<u32, [Vec<(f64, f64, u32)>; 3]> = BTreeMap::new();
+    let mut all: BTreeMap<u32, [Vec<Weighed>; 3]> = BTreeMap::new();
     for (i, patch) in mesh.patches.iter().enumerate() {
         if patch.evidence != Evidence::Plate || shines(patch.radiance, irradiance[i]) {
             continue;
@@ -119,7 +132,8 @@ fn by_face(light: &LightModel, irradiance: &[[f32; 3]]) -> BTreeMap<u32, [f32; 3
         let channels = all.entry(patch.face).or_default();
         for k in (0..3).filter(|k| irradiance[i][*k] > 0.0) {
             let rho = PI * patch.radiance[k] / irradiance[i][k];
-            channels[k].push((f64::from(rho), f64::from(mesh.area(i)), patch.face));
+            let weight = f64::from(mesh.area(i));
+            channels[k].push(Weighed { value: f64::from(rho), weight, face: patch.face });
         }
     }
     let median = |mut channels: [Vec<_>; 3]| {
@@ -130,24 +144,24 @@ fn by_face(light: &LightModel, irradiance: &[[f32; 3]]) -> BTreeMap<u32, [f32; 3
 }
 
 /// Value below which a share of the weight lies.
-fn quantile(values: &mut [(f64, f64, u32)], share: f64) -> Option<f64> {
-    values.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let all: f64 = values.iter().map(|v| v.1).sum();
+fn quantile(values: &mut [Weighed], share: f64) -> Option<f64> {
+    values.sort_by(|a, b| a.value.total_cmp(&b.value));
+    let all: f64 = values.iter().map(|v| v.weight).sum();
     let mut sum = 0.0;
     let at = values.iter().find(|v| {
-        sum += v.1;
+        sum += v.weight;
         sum >= share * all
     });
-    at.map(|v| v.0)
+    at.map(|v| v.value)
 }
 
 /// The face whose mean magnitude is largest.
-fn worst(departures: &[(f64, f64, u32)]) -> Option<(u32, f64)> {
+fn worst(departures: &[Weighed]) -> Option<(u32, f64)> {
     let mut faces: BTreeMap<u32, [f64; 2]> = BTreeMap::new();
-    for (stops, area, face) in departures {
+    for Weighed { value, weight, face } in departures {
         let sums = faces.entry(*face).or_default();
-        sums[0] += stops.abs() * area;
-        sums[1] += area;
+        sums[0] += value.abs() * weight;
+        sums[1] += weight;
     }
     let means = faces.into_iter().map(|(face, [sum, area])| (face, sum / area));
     means.max_by(|a, b| a.1.total_cmp(&b.1))
