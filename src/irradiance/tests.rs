@@ -115,7 +115,7 @@ fn a_thin_wall_does_not_leak() {
             gloss: None,
         }
     };
-    faces.extend([wall(0.10, true), wall(0.11, false)]);
+    faces.extend([wall(0.10, false), wall(0.11, true)]);
     let mut light = light(&faces, [0.0; 3]);
     for i in 0..light.mesh.patches.len() {
         let shines = (light.mesh.centroid(i).x - 0.11).abs() < 1e-3;

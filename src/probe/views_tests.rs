@@ -70,7 +70,8 @@ fn photographer_and_blind_cone_of_one_view_are_filled_by_the_other() {
     let both = combine(&views, PHOTOGRAPHER).unwrap();
     assert!(both.blind_share < 1e-3, "{}", both.blind_share);
     let errors = [error(&both, |_| true), error(&both, photographers), error(&both, behind)];
-    assert!(errors[0] < 0.03 && errors[1] < 0.1 && errors[2] < 0.1, "{errors:?}");
+    // What one camera hides the other shows farther out, and less sharply.
+    assert!(errors[0] < 0.03 && errors[1] < 0.2 && errors[2] < 0.01, "{errors:?}");
     let ratio = ratio(&views[1], &views[0], PHOTOGRAPHER).unwrap();
     assert!((ratio - 1.0).abs() < 0.01, "{ratio}");
 }
