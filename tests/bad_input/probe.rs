@@ -94,7 +94,7 @@ fn views_lenses_and_maps_must_be_what_they_are_said_to_be() {
             "probe",
             1,
             "taking the environment from the photographs of role `probe`: the fisheye lens has a focal length of 0 px",
-            "give probe.focal_px, px per radian in the middle",
+            "give probe.focal_px, px per radian in the middle of the picture",
         ),
         case(
             "a photograph that is no map",
