@@ -47,7 +47,7 @@ def volume(rays):
         y = 1 - (2 * mi.Float(ray) + 1) / rays
         turn = mi.Float64(ray) * 0.6180339887498949
         angle = mi.Float(2 * PI * (turn - dr.floor(turn)))
-        r = dr.sqrt(dr.maximum(0, 1 - y * y))
+        r = dr.sqrt(dr.abs(1 - y * y))
         d = mi.Vector3f(r * dr.cos(angle), y, r * dr.sin(angle))
         at = mi.Point3f(*[dr.gather(mi.Float, mi.Float(part[:, k]), point) for k in range(3)])
         hit = scene.ray_intersect_preliminary(mi.Ray3f(at, d))
