@@ -4,6 +4,8 @@ mod ranges;
 mod read;
 mod text;
 
+use crate::maps::Layout;
+use crate::probe::fisheye::Projection;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -231,11 +233,40 @@ pub enum ProbeCamera {
     Grid,
     /// From the plate's place.
     Plate,
+    /// Said by the settings: they are crops whose sides the ball touches.
+    Crop,
+}
+
+/// What shows the environment.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ProbeSource {
+    /// A mirror ball.
+    #[default]
+    Ball,
+    /// A fisheye lens.
+    Fisheye,
+    /// A ready map of all directions.
+    Map,
 }
 
 settings! {
-    /// The mirror ball.
+    /// Photographs of the ball from one side.
+    ProbeView {
+        /// Which of the photographs of role `probe`; `*` stands for any characters.
+        files: String = "*".into(),
+        /// Of a crop: where its camera stood, as `azimuth_deg` and `elevation_deg` of `[probe]`.
+        azimuth_deg: f64 = 0.0,
+        /// See there.
+        elevation_deg: f64 = 30.0,
+    }
+}
+
+settings! {
+    /// The mirror ball, or what else shows the environment.
     Probe {
+        /// What shows it.
+        source: ProbeSource = ProbeSource::Ball,
         /// Where its photographs were taken from.
         camera: ProbeCamera = ProbeCamera::Grid,
         /// Radius of the ball, m.
@@ -246,6 +277,31 @@ settings! {
         support_m: Option<f64> = None,
         /// Width of the environment map, px; its height is half of that.
         width_px: usize = 512,
+        /// The ball from several sides; without any, all photographs are one view.
+        views: Vec<ProbeView> = Vec::new(),
+        /// Each view shows who took it within this angle around its camera; others fill that.
+        photographer_deg: f64 = 12.0,
+        /// Turn crops of further views until they show what the first shows.
+        turn_views: bool = true,
+        /// Where the middle of a cropped ball, a fisheye lens or the camera of a map stood, grid frame, m.
+        position_m: [f64; 3] = [0.0, 0.0, 0.1],
+        /// Where a crop's camera stood as seen from the ball, where a fisheye lens looked, or what the middle of a map shows:
+        /// azimuth from the grid's +x towards its +y …
+        azimuth_deg: f64 = 0.0,
+        /// … and elevation above the grid.
+        elevation_deg: f64 = 30.0,
+        /// From a crop's camera to the middle of the ball, m.
+        distance_m: f64 = 1.0,
+        /// Layout of a map.
+        layout: Layout = Layout::Latlong,
+        /// Projection of a fisheye lens.
+        projection: Projection = Projection::Equidistant,
+        /// Its focal length, px per radian in the middle.
+        focal_px: f64 = 0.0,
+        /// Its principal point, px; without it the middle.
+        principal_point_px: Option<[f64; 2]> = None,
+        /// Its field of view.
+        field_deg: f64 = 180.0,
     }
 }
 

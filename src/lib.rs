@@ -66,6 +66,7 @@ pub mod image;
 pub mod irradiance;
 pub mod least_squares;
 pub mod live;
+pub mod maps;
 pub mod merge;
 pub mod model;
 pub mod occlusion;

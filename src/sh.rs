@@ -65,9 +65,49 @@ pub fn evaluate(coefficients: &Coefficients, direction: Vec3) -> [f32; 3] {
 /// Irradiance on a surface of unit `normal` under the radiance given by `coefficients`, clamped at zero: near a small
 /// bright source the truncated series rings below it.
 pub fn irradiance(coefficients: &Coefficients, normal: Vec3) -> [f32; 3] {
-    let mut y = basis(normal);
-    y.iter_mut().enumerate().for_each(|(i, y)| *y *= COSINE[degree(i)]);
-    combine(coefficients, y).map(|e| e.max(0.0))
+    evaluate(&convolved(coefficients), normal).map(|e| e.max(0.0))
+}
+
+/// Coefficients of irradiance by normal from those of radiance by direction.
+pub fn convolved(coefficients: &Coefficients) -> Coefficients {
+    std::array::from_fn(|i| coefficients[i].map(|c| COSINE[degree(i)] * c))
+}
+
+/// Normals at which irradiance is looked at for what is below zero.
+const NORMALS: usize = 200;
+/// Halvings of the strength of a window.
+const HALVINGS: usize = 12;
+/// No window is stronger than this.
+const STRONGEST: f32 = 4.0;
+
+/// Incident radiance whose irradiance is nowhere below zero: near a small bright source a truncated series rings below it.
+/// Channels that do are windowed by 1 / (1 + λ l²(l+1)²), the least curved of all (Sloan, *Stupid Spherical Harmonics
+/// Tricks*, 2008), with the smallest λ that does; the light in all, l = 0, is kept.
+pub fn windowed(coefficients: &Coefficients) -> Coefficients {
+    static BASES: std::sync::LazyLock<Vec<[f32; COUNT]>> = std::sync::LazyLock::new(|| {
+        (0..NORMALS).map(|i| basis(crate::irradiance::sphere_direction(i, NORMALS))).collect()
+    });
+    let mut made = *coefficients;
+    for k in 0..3 {
+        let window = |strength: f32, i: usize| {
+            let l = degree(i) as f32;
+            coefficients[i][k] / (1.0 + strength * (l * (l + 1.0)).powi(2))
+        };
+        let holds = |strength: f32| {
+            let c: [f32; COUNT] = std::array::from_fn(|i| COSINE[degree(i)] * window(strength, i));
+            BASES.iter().all(|y| c.iter().zip(y).map(|(c, y)| c * y).sum::<f32>() >= 0.0)
+        };
+        if coefficients[0][k] <= 0.0 || holds(0.0) {
+            continue;
+        }
+        let (mut low, mut high) = (0.0, STRONGEST);
+        for _ in 0..HALVINGS {
+            let middle = 0.5 * (low + high);
+            if holds(middle) { high = middle } else { low = middle }
+        }
+        (0..COUNT).for_each(|i| made[i][k] = window(high, i));
+    }
+    made
 }
 
 /// Degree l of the `i`-th harmonic.
@@ -136,6 +176,22 @@ mod tests {
     }
 
     proptest! {
+        #[test]
+        fn a_window_takes_away_what_is_below_zero_and_keeps_the_light(
+            x in -1.0..1.0f32, y in -1.0..1.0f32, z in -1.0..1.0f32, faint in 0.0..0.3f32
+        ) {
+            let d = Vec3::new(x, y, z).normalize_or(Vec3::Y);
+            let c = project([(d, [100.0, 10.0, 0.0], 1e-3), (-d, [100.0 * faint; 3], 1e-3)]);
+            let made = windowed(&c);
+            prop_assert_eq!(made[0], c[0]);
+            let raw = |n: Vec3| evaluate(&convolved(&made), n);
+            let lowest = sphere(64).map(|(n, _)| raw(n)[0]).fold(f32::MAX, f32::min);
+            prop_assert!(lowest > -2e-4, "{}", lowest);
+            // What rings not is left as it is.
+            let even = project(sphere(64).map(|(n, w)| (n, [1.0 + 0.4 * n.x; 3], w)));
+            prop_assert_eq!(windowed(&even), even);
+        }
+
         #[test]
         fn evaluation_inverts_projection(c in proptest::array::uniform9(-1.0..1.0f32), x in -1.0..1.0f32, y in -1.0..1.0f32) {
             let given: Coefficients = c.map(|v| [v, 0.5 * v, -v]);

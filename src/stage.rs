@@ -72,7 +72,7 @@ pub const STAGES: &[Stage] = &[
     },
     Stage {
         name: "probe",
-        version: 3,
+        version: 4,
         reads: &["ingest", "response", "calibrate"],
         settings: &["response.exposures_from_pixels", "merge", "calibrate"],
         about: "merge the probe's exposures, find the ball, unwrap it",
@@ -86,14 +86,14 @@ pub const STAGES: &[Stage] = &[
     },
     Stage {
         name: "illuminate",
-        version: 1,
+        version: 2,
         reads: &["merge", "calibrate", "probe", "model"],
         settings: &[],
         about: "carry the probe's radiance onto a patch mesh",
     },
     Stage {
         name: "irradiance",
-        version: 2,
+        version: 3,
         reads: &["illuminate"],
         settings: &["calibrate.thickness_m", "probe.support_m"],
         about: "build the irradiance volume",

@@ -3,13 +3,16 @@
 use insitu::artefact::exr::{self, Planes};
 use insitu::artefact::{json, remake};
 use insitu::calibrate::Cameras;
+use insitu::config::ProbeSource;
 use insitu::error::{Context as _, Error, FileContext, Result};
 use insitu::evaluate::gallery::{Gallery, gallery};
 use insitu::evaluate::radiometry::{self, Merging};
 use insitu::evaluate::references::{read_reference, read_truth};
-use insitu::evaluate::{Comparison, Measured, Ours, Page, Reference, Report, check_bounds, compare, page};
+use insitu::evaluate::{
+    Comparison, ErrorMap, Measured, Ours, Page, Reference, Report, check_bounds, compare, error_map, page,
+};
 use insitu::exposure::Capture;
-use insitu::image::{Image, RadianceImage};
+use insitu::image::{Image, Radiance, RadianceImage};
 use insitu::probe::ProbeFit;
 use insitu::render::Layer;
 use insitu::response::Response;
@@ -46,7 +49,9 @@ fn main() -> std::process::ExitCode {
         let compared = reference.as_ref().zip(comparison.as_ref());
         let notes = judge_stages(ctx, &response, &ours, compared, &mut measured)?;
         let sections = vec![radiometry::section(&response, Some(&merging))?];
-        write(ctx, &measured, gallery(&ours, comparison.as_ref(), encode), sections, notes)
+        let mut gallery = gallery(&ours, comparison.as_ref(), encode);
+        gallery.maps.extend(light_residual(ctx)?);
+        write(ctx, &measured, gallery, sections, notes)
     })
 }
 
@@ -58,6 +63,20 @@ fn read_merging(ctx: &Context) -> Result<Merging> {
     };
     let plate = exr::read(&ctx.artefact("merge", "plate.exr")?)?;
     Ok(Merging { manifest: ctx.manifest("merge")?, residuals, plate })
+}
+
+/// What the light model does not explain of the plate.
+fn light_residual(ctx: &Context) -> Result<Option<(&'static str, ErrorMap)>> {
+    if !ctx.has_artefact("illuminate", "predicted_plate.exr") {
+        return Ok(None);
+    }
+    let planes = exr::read(&ctx.artefact("illuminate", "predicted_plate.exr")?)?;
+    let Some(residual) = planes.plane("residual") else { return Ok(None) };
+    let pixels = residual.iter().map(|v| Radiance([*v; 3])).collect();
+    let residual = Image::from_pixels(planes.width, planes.height, pixels);
+    let caption = "plate over what the light model predicts with one reflectance a face, stops: red where the plate is brighter, \
+                   blue where darker; what is neither texture nor an edge is light in the wrong place";
+    Ok(Some((caption, error_map(&residual, 1.0))))
 }
 
 /// The merged plate and where it is clipped.
@@ -87,7 +106,9 @@ fn judge_stages(
     truth.judge_camera(cameras.plate_camera(), &cameras.plate, out).doing(doing())?;
     truth.judge_response(|c| response.exposure_of(c), out).doing(doing())?;
     let probe: ProbeFit = json::read(&ctx.artefact("probe", "probe.json")?)?;
-    truth.judge_ball(&probe.centre, out).doing(doing())?;
+    if probe.source == ProbeSource::Ball {
+        truth.judge_ball(&probe.centre, out).doing(doing())?;
+    }
     let Some((reference, comparison)) = compared else { return Ok(Vec::new()) };
     if let Some(empty) = &reference.empty {
         truth.judge_radiance(ours, empty, &cameras.plate, out).doing(doing())?;

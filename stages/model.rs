@@ -4,7 +4,7 @@ use insitu::annotations::Annotations;
 use insitu::artefact::json;
 use insitu::calibrate::Cameras;
 use insitu::camera::Camera;
-use insitu::config::Role;
+use insitu::config::{ProbeSource, Role};
 use insitu::error::Context as _;
 use insitu::exposure::Capture;
 use insitu::model::{self, Views, gltf, sight::Ball};
@@ -21,9 +21,13 @@ fn main() -> std::process::ExitCode {
         let mut ball = None;
         if ctx.has_artefact("probe", "probe.json") {
             let probe: ProbeFit = json::read(&ctx.artefact("probe", "probe.json")?)?;
-            ball = Some(Ball { centre: probe.centre, radius_m: probe.radius_m });
-            // All exposures of the probe were taken from one place.
-            views.extend(capture.with_role(Role::Probe).map(|p| (p.file.clone(), probe.camera.clone())));
+            if probe.source == ProbeSource::Ball {
+                ball = Some(Ball { centre: probe.centre, radius_m: probe.radius_m });
+                // All exposures of a view were taken from one place.
+                let files = capture.with_role(Role::Probe).map(|p| &p.file);
+                let of_view = files.filter(|f| probe.photographs.is_empty() || probe.photographs.contains(f));
+                views.extend(of_view.map(|f| (f.clone(), probe.camera.clone())));
+            }
         }
         let views = Views { cameras: &views, ball, ground_y: -ctx.pipeline.calibrate.thickness_m };
         let scene = model::fit(&annotations.primitive, &views, &ctx.pipeline.model)
@@ -37,6 +41,6 @@ fn main() -> std::process::ExitCode {
             ctx.figure(&format!("{}_size_sigma_m", primitive.name), &primitive.size_sigma_m);
         }
         json::write(&ctx.output("scene.json"), &scene)?;
-        gltf::write(&ctx.output("scene.glb"), &scene, cameras.plate_camera())
+        gltf::write(&ctx.output("scene.glb"), &scene, cameras.plate_camera(), &[])
     })
 }

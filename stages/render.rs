@@ -71,6 +71,8 @@ fn main() -> std::process::ExitCode {
         exr::write(&ctx.output("receivers.exr"), &mask, exr::Kind::Picture)?;
         let environment = exr::Planes::from_radiance(&frame.shaded.environment.map);
         exr::write(&ctx.output("environment.exr"), &environment, exr::Kind::LatLong)?;
+        let levels = render::levels(&frame.shaded.environment);
+        exr::write(&ctx.output("prefiltered.exr"), &levels, exr::Kind::LatLong)?;
 
         let (mut shadow_ms, mut shade_ms, mut passes) = (Vec::new(), Vec::new(), Vec::new());
         for (i, motion) in render::motions(settings).doing("placing the object")?.iter().enumerate() {

@@ -1,6 +1,7 @@
 //! The on-disk contract between stages: typed readers and writers that refuse what they cannot trust.
 
 pub mod exr;
+pub mod hdr;
 pub mod json;
 pub mod npy;
 pub mod ply;

@@ -15,7 +15,7 @@ use TrueStage::{Calibrate, Illuminate, Merge, Model, Probe};
 
 /// Name of a column, and the stages whose result is ours. The true light lies on the true model and knows the lamps: a
 /// model or probe of ours can only be judged with the light that `illuminate` finds by it.
-const COLUMNS: [(&str, &[TrueStage]); 7] = [
+pub(super) const COLUMNS: [(&str, &[TrueStage]); 7] = [
     ("none", &[]),
     ("calibrate", &[Calibrate]),
     ("merge", &[Merge]),
@@ -63,16 +63,26 @@ fn judge(file: &Path, name: &str, ours: &[TrueStage]) -> Result<Report> {
 
 /// A finished run whose stages are the truth's but for `ours`; where all are ours, the usual one.
 pub(super) fn true_workspace(file: &Path, name: &str, ours: &[TrueStage]) -> Result<Workspace> {
+    true_workspace_to(file, name, ours, &Range::default())
+}
+
+/// The same, with the stages of a range.
+pub(super) fn true_workspace_to(
+    file: &Path,
+    name: &str,
+    ours: &[TrueStage],
+    range: &Range,
+) -> Result<Workspace> {
     let usual = Workspace::open(file)?;
     let stages: Vec<_> = TrueStage::ALL.into_iter().filter(|s| !ours.contains(s)).collect();
     let quiet = Printer::new(Verbosity::Quiet);
     if stages.is_empty() {
-        run::stages(&usual, &Range::default(), &quiet)?;
+        run::stages(&usual, range, &quiet)?;
         return Ok(usual);
     }
     let folder = usual.work.join("truth").join(name.trim_end_matches('+'));
     let workspace = Workspace::open_in(file, Some(&folder))?;
     truth::write(&workspace, &stages, &quiet)?;
-    run::stages(&workspace, &Range::default(), &quiet)?;
+    run::stages(&workspace, range, &quiet)?;
     Ok(workspace)
 }

@@ -10,6 +10,7 @@ mod gpu;
 mod growth;
 mod intensity;
 mod ldr;
+mod light;
 mod methods;
 mod occlusion;
 mod passes;
@@ -49,6 +50,12 @@ pub enum Table {
     Intensity,
     /// The 8-bit method against radiance, in code values.
     Ldr,
+    /// Light from the probe against the truth: where lamps are seen, irradiance, reflectance, by stage.
+    Light,
+    /// The probe's environment of the settings named against published maps of the same place, `latlon.hdr` beside them.
+    Panorama,
+    /// Building an irradiance volume: growth with patches and points, and against ray casting in Mitsuba.
+    Volume,
     /// What each stage adds to the error against a capture's truth.
     Breakdown,
     /// The methods against a capture's truth, with the true scene model.
@@ -92,9 +99,11 @@ pub fn bench(
         });
     }
     let threads = std::thread::available_parallelism().map_or(1, |n| n.get());
-    // Folders of photographs have no settings.
+    // Folders of photographs have no settings, and some tables need none.
     let others = tables.is_empty()
-        || tables.iter().any(|t| !matches!(t, Table::Radiometry | Table::Stability | Table::Vanishing));
+        || tables
+            .iter()
+            .any(|t| !matches!(t, Table::Radiometry | Table::Stability | Table::Vanishing | Table::Volume));
     let settings = if others { validate::settings_under(paths)? } else { Vec::new() };
     if let Some(folder) = pictures {
         std::fs::create_dir_all(folder).at("making a folder for pictures", folder)?;
@@ -107,6 +116,9 @@ pub fn bench(
             Table::Growth => growth::print(pictures, printer)?,
             Table::Intensity => intensity::print(&ready(&settings, printer)?, pictures, printer)?,
             Table::Ldr => ldr::print(&settings, &ready(&settings, printer)?, pictures, printer)?,
+            Table::Light => light::print(&settings, printer)?,
+            Table::Panorama => light::panorama::print(&settings, environments, printer)?,
+            Table::Volume => light::volume::print(printer)?,
             Table::Breakdown => breakdown::print(&settings, printer)?,
             Table::Truth => truth::print(&settings, pictures, printer)?,
             Table::Methods => methods::print(&settings, frames, printer)?,

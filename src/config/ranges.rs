@@ -56,6 +56,14 @@ const RANGES: &[(&str, &str, Range)] = &[
     ("probe", "reflectivity", Above(0.0, 1.0)),
     ("probe", "support_m", From(-1000.0, 1000.0)),
     ("probe", "width_px", From(16.0, 8192.0)),
+    ("probe", "photographer_deg", From(0.0, 60.0)),
+    ("probe", "position_m", From(-1000.0, 1000.0)),
+    ("probe", "azimuth_deg", From(-360.0, 360.0)),
+    ("probe", "elevation_deg", From(-90.0, 90.0)),
+    ("probe", "distance_m", Above(0.0, 1000.0)),
+    ("probe", "focal_px", From(0.0, 1e5)),
+    ("probe", "principal_point_px", From(0.0, 1e5)),
+    ("probe", "field_deg", Above(0.0, 360.0)),
     ("model", "mark_sigma_px", Above(0.0, 100.0)),
     ("model", "max_rms_px", Above(0.0, 1000.0)),
     ("illuminate", "max_edge_m", From(0.01, 1000.0)),
@@ -158,7 +166,26 @@ pub(super) fn check(pipeline: &Pipeline) -> Option<Outside> {
             hint: "let them add up to at most 1 in every channel".into(),
         });
     }
-    exposure(&value)
+    views(&value).or_else(|| exposure(&value))
+}
+
+/// Of the entries of `probe.views`.
+fn views(value: &toml::Value) -> Option<Outside> {
+    const VIEW: [(&str, Range); 2] =
+        [("azimuth_deg", From(-360.0, 360.0)), ("elevation_deg", From(-90.0, 90.0))];
+    for view in value.get("probe")?.get("views")?.as_array()? {
+        for (key, range) in VIEW {
+            let bad = view.get(key).and_then(|v| numbers(v).into_iter().find(|v| !range.holds(*v)));
+            if let Some(bad) = bad {
+                return Some(Outside {
+                    path: ["probe", "views"],
+                    problem: format!("`{key}` of a view is {}", shown(bad)),
+                    hint: format!("give a number {range}"),
+                });
+            }
+        }
+    }
+    None
 }
 
 fn exposure(value: &toml::Value) -> Option<Outside> {

@@ -10,7 +10,7 @@
 //! split ([`Layout`]); with both a small bright light throws its own shadow, not one that is too soft or too far to the side.
 //! In stills lights lie where the scene model is seen in their direction, unless `dome_at_infinity` is set.
 
-mod cube;
+pub(crate) mod cube;
 mod lights;
 mod maps;
 mod object;

@@ -4,6 +4,8 @@
 use super::cube::{CubeMap, Sums};
 use crate::camera::Camera;
 use crate::image::{Image, Radiance, RadianceImage};
+use crate::maps::spherical_triangle;
+use crate::probe::fisheye::Projection;
 use crate::probe::mirror_ball::reflected_ray;
 use crate::probe::outline;
 use glam::{Mat3, Vec3};
@@ -47,9 +49,11 @@ impl crate::error::Problem for Problem {
     }
 }
 
-/// A lens whose image lies at r = f θ from its middle (equidistant projection).
+/// A fisheye lens.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Fisheye {
+    /// How far from the middle a direction is seen.
+    pub projection: Projection,
     /// f, px per rad.
     pub focal_px: f64,
     /// Principal point, px.
@@ -64,11 +68,22 @@ impl Fisheye {
     /// Unit direction seen at a place of the picture (px), nothing outside its field.
     pub fn direction(&self, x: f64, y: f64) -> Option<Vec3> {
         let [x, y] = [(x - self.centre_px[0]) / self.focal_px, (y - self.centre_px[1]) / self.focal_px];
-        let angle = x.hypot(y);
+        let radius = x.hypot(y);
+        let angle = self.projection.angle(radius)?;
         let (sin, cos) = angle.sin_cos();
-        let across = if angle > 1e-12 { sin / angle } else { 1.0 };
+        let across = if radius > 1e-12 { sin / radius } else { 1.0 };
         let seen = Vec3::new((x * across) as f32, (y * across) as f32, cos as f32);
         (angle < self.half_field).then(|| self.world_from_camera * seen)
+    }
+
+    /// Place (px) of a unit direction, and its angle from the lens's axis; nothing outside its field.
+    pub fn pixel(&self, direction: Vec3) -> Option<([f64; 2], f64)> {
+        let seen = (self.world_from_camera.transpose() * direction).as_dvec3();
+        let across = seen.x.hypot(seen.y);
+        let angle = across.atan2(seen.z);
+        let scale = if across > 1e-12 { self.projection.radius(angle) / across } else { 0.0 };
+        let at = [seen.x, seen.y].map(|v| self.focal_px * scale * v);
+        (angle < self.half_field).then(|| ([at[0] + self.centre_px[0], at[1] + self.centre_px[1]], angle))
     }
 }
 
@@ -147,7 +162,7 @@ impl SphereMap {
             };
             let Some(direction) = (a + b + c + d).try_normalize() else { continue };
             let (x, y) = (left + column / PARTS, top + row / PARTS);
-            let solid_angle = triangle(a, b, c) + triangle(a, c, d);
+            let solid_angle = spherical_triangle(a, b, c) + spherical_triangle(a, c, d);
             parts.push(Part { pixel: (y * size.0 + x) as u32, direction, solid_angle });
         }
         Self { size, parts }
@@ -170,13 +185,6 @@ impl SphereMap {
         }
         Seen { cube: all.finish(), clipped: lost.finish() }
     }
-}
-
-/// Solid angle of a spherical triangle, sr (van Oosterom and Strackee 1983).
-fn triangle(a: Vec3, b: Vec3, c: Vec3) -> f64 {
-    let [a, b, c] = [a, b, c].map(|v| v.as_dvec3());
-    let over = 1.0 + a.dot(b) + b.dot(c) + c.dot(a);
-    2.0 * a.dot(b.cross(c)).abs().atan2(over)
 }
 
 #[cfg(test)]
@@ -230,6 +238,7 @@ mod tests {
     #[test]
     fn a_fisheye_shows_its_half_of_the_sky() {
         let lens = Fisheye {
+            projection: Projection::Equidistant,
             focal_px: 60.0,
             centre_px: [100.0; 2],
             half_field: 1.57,

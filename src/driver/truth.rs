@@ -168,7 +168,7 @@ impl Source {
         let scene = self.truth.scene().doing(self.doing())?;
         let (_, plate) = self.plate(ctx)?;
         json::write(&ctx.output("scene.json"), &scene)?;
-        gltf::write(&ctx.output("scene.glb"), &scene, &self.truth.camera(&plate).doing(self.doing())?)
+        gltf::write(&ctx.output("scene.glb"), &scene, &self.truth.camera(&plate).doing(self.doing())?, &[])
     }
 
     fn illuminate(&self, ctx: &Context) -> Result<()> {

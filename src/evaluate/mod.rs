@@ -10,6 +10,7 @@ mod pictures;
 pub mod radiometry;
 pub mod references;
 pub mod region;
+pub mod true_light;
 pub mod true_scene;
 pub mod truth;
 

@@ -4,7 +4,8 @@ use super::truth::{Problem, Truth, numbers};
 use crate::annotations::Kind;
 use crate::calibrate::{PosedCamera, world_from_grid};
 use crate::camera::{Camera, Intrinsics};
-use crate::image::{Image, Radiance, RadianceImage};
+use crate::config::ProbeSource;
+use crate::image::{Radiance, RadianceImage};
 use crate::model::{Face, FittedPrimitive, Scene};
 use crate::probe::{Environment, ProbeFit, latlong};
 use glam::Vec3;
@@ -23,7 +24,7 @@ fn isometry(r: [f64; 9], t: [f64; 3]) -> Isometry3<f64> {
 
 impl Truth {
     /// The truth's world (+Z up) in ours, whose axes are those of the grid.
-    fn world_from_truth(&self) -> Result<Isometry3<f64>, Problem> {
+    pub(super) fn world_from_truth(&self) -> Result<Isometry3<f64>, Problem> {
         let m: [f64; 16] = Self::numbers(&self.value["grid"]["world_from_board"], "grid.world_from_board")?;
         let r = [m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]];
         Ok(world_from_grid() * isometry(r, [m[3], m[7], m[11]]).inverse())
@@ -60,6 +61,8 @@ impl Truth {
         let sphere = &self.value["sphere"];
         let centre = Point3::from(Self::numbers::<3>(&sphere["centre"], "sphere.centre")?);
         Ok(ProbeFit {
+            source: ProbeSource::Ball,
+            photographs: Vec::new(),
             camera: self.camera(file)?,
             centre: self.world_from_truth()? * centre,
             radius_m: sphere["radius"].as_f64().ok_or(Problem::Shape("sphere.radius".into()))?,
@@ -120,12 +123,7 @@ impl Truth {
         let d = truth_from_world * Vector3::new(f64::from(d.x), f64::from(d.y), f64::from(d.z));
         let longitude = d.y.atan2(d.x);
         let shift = (std::f64::consts::PI - longitude) / std::f64::consts::TAU * w as f64 - 0.5;
-        let (whole, part) = (shift.floor(), (shift - shift.floor()) as f32);
-        let first = (whole as i64).rem_euclid(w as i64) as usize;
-        let radiance = Image::from_fn(w, h, |x, y| {
-            let (a, b) = (map.at((first + x) % w, y).0, map.at((first + x + 1) % w, y).0);
-            Radiance([0, 1, 2].map(|k| (a[k] + (b[k] - a[k]) * part) * scale as f32))
-        });
+        let radiance = latlong::turned(map, shift).map(|l| Radiance(l.0.map(|v| v * scale as f32)));
         let origin = Vec3::new(origin.x as f32, origin.y as f32, origin.z as f32);
         Ok(Environment { radiance, origin: vec![origin; w * h], weight: vec![1.0; w * h] })
     }
@@ -136,7 +134,7 @@ impl Truth {
         primitives.map(|p| Ok((name(p)?, Self::numbers(&p["emit"], "primitives.emit")?))).collect()
     }
 
-    fn primitives(&self) -> Result<&Vec<Value>, Problem> {
+    pub(super) fn primitives(&self) -> Result<&Vec<Value>, Problem> {
         self.value["primitives"].as_array().ok_or(Problem::Shape("primitives".into()))
     }
 

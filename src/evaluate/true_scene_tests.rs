@@ -1,4 +1,5 @@
 use super::*;
+use crate::image::Image;
 use nalgebra::Point2;
 use serde_json::json;
 

@@ -20,7 +20,7 @@ pub use guess::{Seen, guess, look};
 pub use header::{Header, header_digest};
 pub use problem::{Problem, role_name};
 pub use raw::is_readable;
-pub use roles::{Assignment, assign, derive, list, listing_digest};
+pub use roles::{Assignment, assign, derive, glob, list, listing_digest};
 pub use rows::{Room, Rows, Samples, Spooled, Stored};
 pub use views::Thumbnail;
 

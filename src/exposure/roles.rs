@@ -106,7 +106,7 @@ pub(super) fn matching(pattern: &str, names: &[String], place: &str) -> Result<V
 }
 
 /// Whether a name is of a pattern in which `*` stands for any characters but `/`.
-pub(super) fn glob(pattern: &str, name: &str) -> bool {
+pub fn glob(pattern: &str, name: &str) -> bool {
     match pattern.split_once('*') {
         None => pattern == name,
         Some((before, after)) => name.strip_prefix(before).is_some_and(|rest| {

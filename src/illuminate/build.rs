@@ -43,6 +43,8 @@ const ROUNDS: usize = 3;
 const REFINEMENTS: usize = 4;
 /// Texels so near to a known emitter may hold its light: a pixel's width and one of resampling.
 const BESIDE: usize = 2;
+/// What sends so many times the light that it gets shines by itself.
+pub(super) const SHINES: f32 = 3.0;
 /// Below this share of the sphere, gaps are cracks of the model and not the sky.
 const MIN_OPEN: f64 = 0.005;
 
@@ -52,6 +54,8 @@ pub struct Built {
     pub light: LightModel,
     /// Radiance of the distant layer by direction, 0 where the model is met.
     pub distant_picture: RadianceImage,
+    /// Irradiance of each patch, plate units.
+    pub irradiance: Vec<[f32; 3]>,
     /// Figures by name.
     pub figures: Vec<(&'static str, f64)>,
 }
@@ -139,7 +143,23 @@ pub fn build(
         }
         stage = Stage::new(&meshes, env, plate, known);
     }
-    Ok(stage.finish(env, known, settings, probe_blur))
+    let primitives = primitives(faces);
+    Ok(stage.finish(env, known, settings, &primitives, probe_blur))
+}
+
+/// For each face the number of the primitive that it belongs to.
+fn primitives(faces: &[Face]) -> Vec<usize> {
+    let mut names: Vec<&str> = Vec::new();
+    let mut out = Vec::with_capacity(faces.len());
+    for face in faces {
+        let name = face.name.split('.').next().unwrap_or_default();
+        let at = names.iter().position(|n| *n == name).unwrap_or(names.len());
+        if at == names.len() {
+            names.push(name);
+        }
+        out.push(at);
+    }
+    out
 }
 
 /// A mesh with its radiance from probe and plate.
@@ -210,16 +230,23 @@ impl Stage {
         env: &Environment,
         known: &Known,
         settings: &config::Illuminate,
+        primitives: &[usize],
         probe_blur: impl Fn(Vec3) -> f64,
     ) -> Built {
         let (distant, picture, open) = match &known.sky {
             Some(sky) => whole_sky(sky, settings),
             None => self.distant(env, settings, probe_blur),
         };
-        let seen: Vec<bool> = self.mesh.patches.iter().map(|p| p.evidence != Evidence::Gathered).collect();
-        let gather = Gather::new(&self.mesh, &distant.sources, &self.bvh, |i| seen[i]);
+        let mut seen: Vec<bool> =
+            self.mesh.patches.iter().map(|p| p.evidence != Evidence::Gathered).collect();
+        let mut gather = Gather::new(&self.mesh, &distant.sources, &self.bvh, |i| seen[i]);
         let rho = settings.unseen_reflectance.clamp(0.0, MAX_REFLECTANCE);
         let mut irradiance = gather.irradiance(&self.mesh);
+        let lamps = self.complete_lamps(&mut seen, &irradiance, primitives);
+        if lamps > 0 {
+            gather = Gather::new(&self.mesh, &distant.sources, &self.bvh, |i| seen[i]);
+            irradiance = gather.irradiance(&self.mesh);
+        }
         for _ in 0..ROUNDS {
             for (i, p) in self.mesh.patches.iter_mut().enumerate().filter(|(i, _)| !seen[*i]) {
                 p.radiance = irradiance[i].map(|e| rho * e / std::f32::consts::PI);
@@ -227,7 +254,7 @@ impl Stage {
             }
             irradiance = gather.irradiance(&self.mesh);
         }
-        let (mut excess, mut reflected, mut area) = (0.0, 0.0, 0.0);
+        let (mut excess, mut reflected, mut area, mut beyond) = (0.0, 0.0, 0.0, 0.0);
         for i in 0..self.mesh.patches.len() {
             let a = f64::from(self.mesh.area(i));
             let p = &mut self.mesh.patches[i];
@@ -237,13 +264,55 @@ impl Stage {
                 });
                 p.reflectance = raw.map(|r| r.clamp(0.0, MAX_REFLECTANCE));
                 excess += a * f64::from(u8::from(luminance(raw) > 1.0));
+                // What a surface would have to reflect beyond the bound, unless it shines.
+                let over = luminance(raw) - MAX_REFLECTANCE;
+                if over > 0.0 && luminance(raw) < SHINES {
+                    beyond += a * f64::from(over);
+                }
             }
             reflected += a * f64::from(luminance(p.reflectance));
             area += a;
         }
-        let figures = self.figures(&distant, open, excess / area, reflected / area);
+        let mut figures = self.figures(&distant, open, excess / area, reflected / area);
+        figures.push(("lamps_completed", lamps as f64));
+        figures.push(("reflectance_excess", beyond / area));
         let light = LightModel { mesh: self.mesh, distant: distant.sources };
-        Built { light, distant_picture: picture, figures }
+        Built { light, distant_picture: picture, irradiance, figures }
+    }
+
+    /// A primitive that shines wherever it is seen shines all over: its unseen patches get the mean radiance of the seen ones.
+    /// Returns how many such lamps have a side that nothing shows.
+    fn complete_lamps(&mut self, seen: &mut [bool], irradiance: &[[f32; 3]], primitives: &[usize]) -> usize {
+        let count = primitives.iter().max().map_or(0, |m| m + 1);
+        // By primitive: area seen, area that shines, radiance × area that shines, whether there is more.
+        let mut sums = vec![(0.0f64, 0.0f64, [0.0f64; 3], false); count];
+        let primitive = |patch: &super::patch::Patch| primitives[patch.face as usize];
+        for (i, patch) in self.mesh.patches.iter().enumerate() {
+            let (sum, area) = (&mut sums[primitive(patch)], f64::from(self.mesh.area(i)));
+            if !seen[i] {
+                sum.3 = true;
+                continue;
+            }
+            sum.0 += area;
+            if std::f32::consts::PI * luminance(patch.radiance) > SHINES * luminance(irradiance[i]) {
+                sum.1 += area;
+                (0..3).for_each(|k| sum.2[k] += area * f64::from(patch.radiance[k]));
+            }
+        }
+        let lamps: Vec<Option<[f32; 3]>> = sums
+            .iter()
+            .map(|(all, shining, radiance, more)| {
+                let is_lamp = *more && *shining > 0.5 * all && *shining > 0.0;
+                is_lamp.then(|| radiance.map(|r| (r / shining) as f32))
+            })
+            .collect();
+        for (i, patch) in self.mesh.patches.iter_mut().enumerate() {
+            if let (Some(radiance), false) = (lamps[primitives[patch.face as usize]], seen[i]) {
+                patch.radiance = radiance;
+                seen[i] = true;
+            }
+        }
+        lamps.iter().flatten().count()
     }
 
     fn distant(

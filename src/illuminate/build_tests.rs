@@ -38,6 +38,56 @@ fn a_rooms_radiance_is_recovered_and_its_lamp_resolved() {
 }
 
 #[test]
+fn a_good_model_explains_its_pictures_and_a_lamp_that_is_missing_shows() {
+    use crate::illuminate::check::check;
+    let (env, at) = (environment(Vec3::new(0.3, 0.6, -0.4)), Vec3::new(0.3, 0.6, -0.4));
+    let built = built(&config::Illuminate::default());
+    let figure = |c: &crate::illuminate::check::Check, name: &str| {
+        c.figures.iter().find(|(n, _)| *n == name).map(|(_, v)| *v).unwrap()
+    };
+    let good = check(&built.light, &built.irradiance, &env, &built.distant_picture, None);
+    assert!((figure(&good, "predicted_over_probe_power") - 1.0).abs() < 0.02);
+    assert!(figure(&good, "probe_residual_median_stops") < 0.01);
+    let mut dark = built.light.clone();
+    dark.mesh.patches.iter_mut().filter(|p| p.radiance[0] > 5.0).for_each(|p| p.radiance = [0.5; 3]);
+    let bad = check(&dark, &built.irradiance, &env, &built.distant_picture, None);
+    assert!(figure(&bad, "predicted_over_probe_power") < 0.8);
+    let towards_lamp = env.texel(Vec3::new(0.2, 1.9, 0.4).normalize());
+    assert!(bad.probe_residual.pixels()[towards_lamp] > 4.0, "from {at}");
+}
+
+#[test]
+fn a_lamp_shines_to_its_unseen_side_too() {
+    // A box of light on a pole that the probe sees from one side and from below.
+    let at = Vec3::new(0.3, 0.6, -0.4);
+    let mut faces = room::faces(4.0, 2.5, 4.0);
+    for mut f in room::faces(0.2, 0.2, 0.2) {
+        f.vertices.reverse();
+        f.vertices.iter_mut().for_each(|v| (v.x, v.y, v.z) = (v.x + 1.2, v.y + 1.2, v.z + 1.0));
+        f.name = f.name.replace("room", "lamp");
+        faces.push(f);
+    }
+    let triangles = crate::model::face::triangulate(&faces);
+    let bvh = Bvh::new(&triangles.vertices, &triangles.triangles);
+    let env = Environment::from_fn(512, at, |d| {
+        let p = at + d * bvh.closest(at, d, 0.0, f32::MAX).unwrap().t;
+        let lamp = (p.x - 1.2).abs() < 0.11 && (p.y - 1.3).abs() < 0.11 && (p.z - 1.0).abs() < 0.11;
+        [if lamp { 60.0 } else { 0.5 }; 3]
+    });
+    let built = build(&faces, &env, None, &Known::default(), &Default::default(), |_| 0.0).unwrap();
+    assert_eq!(built.figure("lamps_completed"), Some(1.0));
+    let mesh = &built.light.mesh;
+    let lamp: Vec<usize> = (0..mesh.patches.len()).filter(|i| mesh.patches[*i].face >= 6).collect();
+    // Borders of what is seen mix with what is behind.
+    for &i in lamp.iter().filter(|i| mesh.patches[**i].evidence == Evidence::Gathered) {
+        let l = mesh.patches[i].radiance[0];
+        assert!((l / 60.0 - 1.0).abs() < 0.2, "{l} at {}", mesh.centroid(i));
+    }
+    let sent: f64 = lamp.iter().map(|&i| power(mesh, i)).sum();
+    assert!((sent / (60.0 * 0.24) - 1.0).abs() < 0.2, "{sent}");
+}
+
+#[test]
 fn an_open_sky_becomes_distant_light_of_the_same_power() {
     let ground = vec![room::faces(10.0, 1.0, 10.0)[0].clone()];
     let env = Environment::from_fn(128, Vec3::new(0.0, 0.1, 0.0), |d| [if d.y > 0.0 { 2.0 } else { 0.3 }; 3]);

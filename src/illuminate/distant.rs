@@ -268,6 +268,30 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(16))]
         #[test]
+        fn splitting_off_a_sun_keeps_all_light(
+            x in -1.0f32..1.0, y in 0.1f32..1.0, z in -1.0f32..1.0, radius in 0.006f32..0.05, strength in 200.0f32..2e4
+        ) {
+            let sun = Vec3::new(x, y, z).normalize();
+            let light = |d: Vec3| {
+                if d.angle_between(sun) < radius { [strength, 0.9 * strength, 0.7 * strength] } else { [1.0 + 0.5 * d.y; 3] }
+            };
+            let env = Environment::from_fn(256, Vec3::ZERO, light);
+            let share = vec![1.0; 256 * 128];
+            let d = cut(&Layer { radiance: &env.radiance, share: &share }, 64, |_| 0.0);
+            for k in 0..3 {
+                let there: f64 = (0..256 * 128)
+                    .map(|i| f64::from(env.radiance.pixels()[i].0[k]) * env.solid_angle(i))
+                    .sum();
+                let here: f64 =
+                    d.sources.iter().map(|s| f64::from(s.radiance[k]) * f64::from(s.solid_angle_sr)).sum();
+                prop_assert!((here / there - 1.0).abs() < 1e-3, "channel {k}: {}", here / there);
+            }
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(16))]
+        #[test]
         fn the_cut_keeps_power_and_solid_angle(count in 1usize..100, tilt in -1.0..1.0f32, gain in 0.1..100.0f32) {
             let env = Environment::from_fn(64, Vec3::ZERO, |d| {
                 [gain * (1.0 + tilt * d.x) * (2.0 + (7.0 * d.z).sin()), gain, gain * (1.0 + d.y)]

@@ -109,7 +109,7 @@ fn from_patch(mesh: &PatchMesh, bvh: &Bvh, p: Vec3, normal: Vec3, j: usize) -> [
 }
 
 /// The patches of known radiance that send most, in falling order.
-fn strong_patches(mesh: &PatchMesh, known: impl Fn(usize) -> bool) -> Vec<usize> {
+pub(crate) fn strong_patches(mesh: &PatchMesh, known: impl Fn(usize) -> bool) -> Vec<usize> {
     let power: Vec<f64> = (0..mesh.patches.len()).map(|i| super::power(mesh, i)).collect();
     let all: f64 = power.iter().sum();
     let mut order: Vec<usize> = (0..power.len()).filter(|&i| known(i) && power[i] > 0.0).collect();
@@ -169,7 +169,20 @@ mod tests {
         let bvh = Bvh::new(&mesh.vertices, &mesh.triangles());
         let gather = Gather::new(&mesh, &[], &bvh, |_| true);
         for e in gather.irradiance(&mesh) {
-            assert!((e[0] / (2.0 * PI) - 1.0).abs() < 0.02, "{}", e[0] / (2.0 * PI));
+            assert!((e[0] / (2.0 * PI) - 1.0).abs() < 1e-3, "{}", e[0] / (2.0 * PI));
+        }
+    }
+
+    #[test]
+    fn form_factors_of_a_closed_room_sum_to_one() {
+        let mesh = room_mesh(0.3);
+        for i in (0..mesh.patches.len()).step_by(7) {
+            let (p, normal) = (mesh.centroid(i), mesh.normal(i));
+            let row: f64 = (0..mesh.patches.len())
+                .filter(|&j| j != i && mesh.patches[j].face != mesh.patches[i].face)
+                .map(|j| f64::from(form_factor::polygon(p, normal, &mesh.corners(j))))
+                .sum();
+            assert!((row - 1.0).abs() < 1e-3, "{row}");
         }
     }
 

@@ -3,12 +3,14 @@
 //! rest (Gibson and Chalmers 2003, §4.2).
 
 pub mod build;
+pub mod check;
 pub mod distant;
 pub mod gather;
 pub mod mesh;
 mod outline;
 pub mod patch;
 pub mod project;
+pub mod punctual;
 #[cfg(test)]
 pub mod room;
 mod stage;

@@ -114,11 +114,7 @@ fn look_back(env: &Environment, mesh: &PatchMesh, bvh: &Bvh, i: usize) -> Option
     let corners = mesh.corners(i);
     for b in POINTS {
         let p = corners[0] * b[0] + corners[1] * b[1] + corners[2] * b[2];
-        // The ray's origin on the ball depends on its direction: two rounds settle it far below a texel.
-        let mut texel = env.texel((p - env.origin[0]).normalize_or(Vec3::Y));
-        for _ in 0..3 {
-            texel = env.texel((p - env.origin[texel]).normalize_or(Vec3::Y));
-        }
+        let texel = env.texel_towards(p);
         let origin = env.origin[texel];
         if env.weight[texel] > MIN_WEIGHT
             && mesh.normal(i).dot(origin - p) > 0.0

@@ -1,11 +1,12 @@
 //! What the stage does, for its program and for the truth of a rendered capture.
 
-use super::{build, write_light};
+use super::{build, check, punctual, write_light};
 use crate::artefact::{exr, json, remake};
 use crate::calibrate::Cameras;
 use crate::error::{Context as _, Error, Result};
+use crate::image::{Image, RadianceImage};
 use crate::merge::Merged;
-use crate::model::Scene;
+use crate::model::{Scene, gltf};
 use crate::probe::{Environment, ProbeFit};
 use crate::stage::Context;
 use std::path::Path;
@@ -28,6 +29,12 @@ pub fn put_light(ctx: &Context, known: impl FnOnce(&Scene) -> Result<build::Know
     for (name, value) in &built.figures {
         ctx.figure(name, value);
     }
+    let check = check::check(&built.light, &built.irradiance, &env, &built.distant_picture, Some(&plate));
+    write_check(ctx, &check, &scene)?;
+    let name = |face: u32| scene.faces[face as usize].name.clone();
+    let lights = punctual::lights(&built.light, &built.irradiance, name);
+    ctx.figure("lights", lights.len());
+    gltf::write(&ctx.output("scene.glb"), &scene, cameras.plate_camera(), &lights)?;
     for warning in built.warnings() {
         ctx.warn(warning);
     }
@@ -37,6 +44,24 @@ pub fn put_light(ctx: &Context, known: impl FnOnce(&Scene) -> Result<build::Know
         exr::Kind::LatLong,
     )?;
     write_light(&ctx.output(""), &built.light)
+}
+
+/// Predictions and residuals, for a person to look at first.
+fn write_check(ctx: &Context, check: &check::Check, scene: &Scene) -> Result<()> {
+    for (name, value) in &check.figures {
+        ctx.figure(name, value);
+    }
+    if let Some((face, stops)) = check.worst_face {
+        ctx.figure("plate_residual_worst_face", &scene.faces[face as usize].name);
+        ctx.figure("plate_residual_worst_face_stops", stops);
+    }
+    let planes = |picture: &RadianceImage, residual: &Image<f32>| {
+        exr::Planes::from_radiance(picture).with("residual", residual.pixels().to_vec())
+    };
+    let plate = planes(&check.plate, &check.plate_residual);
+    exr::write(&ctx.output("predicted_plate.exr"), &plate, exr::Kind::Picture)?;
+    let probe = planes(&check.probe, &check.probe_residual);
+    exr::write(&ctx.output("predicted_probe.exr"), &probe, exr::Kind::LatLong)
 }
 
 fn unfit(path: &Path) -> Error {

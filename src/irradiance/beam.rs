@@ -3,6 +3,7 @@
 
 use crate::illuminate::patch::DistantSource;
 use crate::image::luminance;
+use crate::sh;
 use crate::visibility::Bvh;
 use glam::Vec3;
 
@@ -29,7 +30,17 @@ pub struct Beams<'a> {
 impl<'a> Beams<'a> {
     /// Of the light model's distant sources; `scene` holds the surfaces that cast shadows.
     pub fn new(distant: &[DistantSource], scene: &'a Bvh) -> Self {
-        Self { sources: split(distant).0, scene }
+        Self { sources: Self::sources(distant), scene }
+    }
+
+    /// The beams among distant light.
+    pub fn sources(distant: &[DistantSource]) -> Vec<DistantSource> {
+        split(distant).0
+    }
+
+    /// Whether nothing of the scene stands between two points.
+    pub(super) fn sees(&self, from: Vec3, to: Vec3) -> bool {
+        !self.scene.any_hit(from, to - from, 0.0, 1.0)
     }
 
     /// Irradiance on a surface of unit `normal`, plate units.
@@ -42,5 +53,12 @@ impl<'a> Beams<'a> {
             }
         }
         sum
+    }
+
+    /// Harmonics of the beams' radiance at a point.
+    pub fn harmonics(&self, position: Vec3) -> sh::Coefficients {
+        let seen = |s: &&DistantSource| !self.scene.any_hit(position, s.direction, START_M, f32::MAX);
+        let beams = self.sources.iter().filter(seen);
+        sh::project(beams.map(|s| (s.direction, s.radiance, f64::from(s.solid_angle_sr))))
     }
 }

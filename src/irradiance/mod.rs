@@ -9,7 +9,9 @@ pub(crate) use beam::split as split_beams;
 use crate::artefact::ply;
 use crate::config;
 use crate::error::{Error, Result};
+use crate::illuminate::gather::strong_patches;
 use crate::illuminate::patch::{DistantSource, LightModel, PatchMesh};
+use crate::maps::spherical_triangle;
 use crate::sh;
 use crate::visibility::Bvh;
 use glam::Vec3;
@@ -20,6 +22,10 @@ use std::path::Path;
 const LIFT_M: f32 = 0.02;
 /// A node is inside something solid if that share of its rays meets surfaces from behind.
 const MAX_BEHIND: f64 = 0.5;
+/// Points that look at nodes start this far off their surface, m.
+const OFF_M: f32 = 5e-3;
+/// A strong patch of a larger solid angle than this is sampled in four parts, sr.
+const LARGE_SR: f64 = 2e-3;
 const FORMAT: &str = "insitu-irradiance 1";
 
 /// Why no volume can be made.
@@ -54,6 +60,17 @@ impl crate::error::Problem for Problem {
     }
 }
 
+/// Nodes at `origin + spacing × index`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Grid {
+    /// Position of the first node, world, m.
+    pub origin: Vec3,
+    /// Distance of nodes along x, y, z, m.
+    pub spacing: Vec3,
+    /// Number of nodes along x, y, z.
+    pub size: [usize; 3],
+}
+
 /// Harmonics of incident radiance on a grid.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Volume {
@@ -65,6 +82,8 @@ pub struct Volume {
     size: [usize; 3],
     /// x fastest, then y, then z; `None` inside objects.
     nodes: Vec<Option<sh::Coefficients>>,
+    /// The same with irradiance nowhere below zero.
+    windowed: Vec<Option<sh::Coefficients>>,
 }
 
 impl Volume {
@@ -88,36 +107,60 @@ impl Volume {
             return Err(Problem::TooMany(count));
         }
         let size = cells.to_array().map(|c| c as usize + 1);
-        let spacing = (end - origin) / cells;
+        Self::on_grid(light, Grid { origin, spacing: (end - origin) / cells, size }, settings.rays)
+    }
+
+    /// Fills any grid, with so many rays a node.
+    pub fn on_grid(light: &LightModel, grid: Grid, rays: usize) -> std::result::Result<Self, Problem> {
+        let Grid { origin, spacing, size } = grid;
         let bvh = Bvh::new(&light.mesh.vertices, &light.mesh.triangles());
         let (_, soft) = beam::split(&light.distant);
+        let mut strong = strong_patches(&light.mesh, |_| true);
+        strong.sort_unstable();
         let nodes: Vec<_> = (0..size.iter().product::<usize>())
             .into_par_iter()
             .map(|i| {
                 let at = origin + spacing * index(i, size).map_vec();
-                incident(&light.mesh, &soft, &bvh, at, settings.rays)
+                incident(&light.mesh, &strong, &soft, &bvh, at, rays)
             })
             .collect();
         if nodes.iter().all(Option::is_none) {
             return Err(Problem::AllInside(nodes.len()));
         }
-        Ok(Self { origin, spacing, size, nodes })
+        Ok(Self::new(origin, spacing, size, nodes))
     }
 
-    /// Irradiance on a surface of unit `normal` of all light but [`Beams`], plate units: nodes are interpolated linearly, those inside objects left
-    /// out; beyond the grid its border holds.
+    fn new(origin: Vec3, spacing: Vec3, size: [usize; 3], nodes: Vec<Option<sh::Coefficients>>) -> Self {
+        let windowed = nodes.par_iter().map(|n| n.as_ref().map(sh::windowed)).collect();
+        Self { origin, spacing, size, nodes, windowed }
+    }
+
+    /// Irradiance on a surface of unit `normal` of all light but [`Beams`], plate units: nodes are interpolated linearly, those
+    /// inside objects left out; beyond the grid its border holds.
     pub fn irradiance(&self, position: Vec3, normal: Vec3) -> [f32; 3] {
-        sh::irradiance(&self.harmonics(position), normal)
+        sh::irradiance(&self.blended(&self.windowed, position, |_| true), normal)
     }
 
-    /// Irradiance of all light, beams included.
+    /// Irradiance of all light, beams included. Nodes that the scene hides from the point are left out: walls that are thinner
+    /// than the grid do not leak.
     pub fn irradiance_with(&self, beams: &Beams, position: Vec3, normal: Vec3) -> [f32; 3] {
-        let (soft, hard) = (self.irradiance(position, normal), beams.irradiance(position, normal));
+        let nodes =
+            self.blended(&self.windowed, position, |node| beams.sees(position + normal * OFF_M, node));
+        let (soft, hard) = (sh::irradiance(&nodes, normal), beams.irradiance(position, normal));
         std::array::from_fn(|k| soft[k] + hard[k])
     }
 
-    /// Interpolated harmonics of incident radiance.
+    /// Interpolated harmonics of incident radiance, as they are: irradiance by them may ring below zero.
     pub fn harmonics(&self, position: Vec3) -> sh::Coefficients {
+        self.blended(&self.nodes, position, |_| true)
+    }
+
+    fn blended(
+        &self,
+        nodes: &[Option<sh::Coefficients>],
+        position: Vec3,
+        seen: impl Fn(Vec3) -> bool,
+    ) -> sh::Coefficients {
         let mut at = [0.0f32; 3];
         let mut low = [0usize; 3];
         for k in 0..3 {
@@ -134,24 +177,34 @@ impl Volume {
             let bit = |k: usize| corner >> k & 1;
             let weight: f32 = (0..3).map(|k| if bit(k) == 1 { at[k] } else { 1.0 - at[k] }).product();
             let [x, y, z] = [0, 1, 2].map(|k| (low[k] + bit(k)).min(self.size[k] - 1));
-            let node = self.nodes[(z * self.size[1] + y) * self.size[0] + x];
-            if let (Some(node), true) = (node, weight > 0.0) {
+            let node = nodes[(z * self.size[1] + y) * self.size[0] + x];
+            let place = self.origin + self.spacing * Vec3::new(x as f32, y as f32, z as f32);
+            if let (Some(node), true) = (node, weight > 0.0 && seen(place)) {
                 sum.iter_mut().zip(node).for_each(|(s, n)| (0..3).for_each(|c| s[c] += weight * n[c]));
                 weights += weight;
             }
         }
         if weights < 1e-3 {
-            return self.nearest(position);
+            return self.nearest(nodes, position, seen);
         }
         sum.map(|s| s.map(|v| v / weights))
     }
 
-    /// The nearest node in the open.
-    fn nearest(&self, position: Vec3) -> sh::Coefficients {
-        let open = self.nodes.iter().enumerate().filter_map(|(i, n)| n.map(|n| (i, n)));
-        let distance =
-            |i: usize| (self.origin + self.spacing * index(i, self.size).map_vec()).distance(position);
-        open.min_by(|a, b| distance(a.0).total_cmp(&distance(b.0))).map_or([[0.0; 3]; sh::COUNT], |(_, n)| n)
+    /// The nearest node in the open, one that is seen if there is any within two spacings.
+    fn nearest(
+        &self,
+        nodes: &[Option<sh::Coefficients>],
+        position: Vec3,
+        seen: impl Fn(Vec3) -> bool,
+    ) -> sh::Coefficients {
+        let place = |i: usize| self.origin + self.spacing * index(i, self.size).map_vec();
+        let open = || nodes.iter().enumerate().filter_map(|(i, n)| n.map(|n| (i, n)));
+        let distance = |i: usize| place(i).distance(position);
+        let near = 2.0 * self.spacing.length();
+        let visible = open().filter(|(i, _)| distance(*i) < near && seen(place(*i)));
+        let closest = |a: &(usize, _), b: &(usize, _)| distance(a.0).total_cmp(&distance(b.0));
+        let found = visible.min_by(closest).or_else(|| open().min_by(closest));
+        found.map_or([[0.0; 3]; sh::COUNT], |(_, n)| n)
     }
 
     /// Number of nodes.
@@ -164,7 +217,13 @@ impl Volume {
         self.nodes.is_empty()
     }
 
-    /// Nodes that are not inside an object.
+    /// Position and harmonics of the nodes that are not inside an object.
+    pub fn open(&self) -> impl Iterator<Item = (Vec3, sh::Coefficients)> + '_ {
+        let place = |i: usize| self.origin + self.spacing * index(i, self.size).map_vec();
+        self.nodes.iter().enumerate().filter_map(move |(i, n)| n.map(|n| (place(i), n)))
+    }
+
+    /// How many these are.
     pub fn open_nodes(&self) -> usize {
         self.nodes.iter().flatten().count()
     }
@@ -227,7 +286,7 @@ impl Volume {
             (row[3] > 0.5).then(|| std::array::from_fn(|i| [0, 1, 2].map(|c| row[4 + 3 * i + c])))
         };
         let nodes = mesh.vertices.iter().map(node).collect();
-        Ok(Self { origin: origin.into(), spacing: spacing.into(), size, nodes })
+        Ok(Self::new(origin.into(), spacing.into(), size, nodes))
     }
 }
 
@@ -267,9 +326,11 @@ fn bounds(mesh: &PatchMesh, support: f32, reach: f32) -> (Vec3, Vec3) {
     (low, high.max(low))
 }
 
-/// Incident radiance at a point; `None` inside something solid.
+/// Incident radiance at a point; `None` inside something solid. Patches that stand out, which few rays would meet, are
+/// summed one by one, by their solid angle.
 fn incident(
     mesh: &PatchMesh,
+    strong: &[usize],
     distant: &[DistantSource],
     bvh: &Bvh,
     at: Vec3,
@@ -282,15 +343,21 @@ fn incident(
         let d = sphere_direction(i, rays);
         if let Some(hit) = bvh.closest(at, d, 0.0, f32::MAX) {
             let patch = hit.triangle as usize;
-            if mesh.normal(patch).dot(d) < 0.0 {
-                sum.add(d, mesh.patches[patch].radiance, solid_angle);
-            } else {
+            if mesh.normal(patch).dot(d) >= 0.0 {
                 behind += 1;
+            } else if strong.binary_search(&patch).is_err() {
+                sum.add(d, mesh.patches[patch].radiance, solid_angle);
             }
         }
     }
     if behind as f64 > MAX_BEHIND * rays as f64 {
         return None;
+    }
+    for &patch in strong {
+        let corners = mesh.corners(patch);
+        if mesh.normal(patch).dot(corners[0] - at) < 0.0 {
+            add_patch(&mut sum, corners, mesh.patches[patch].radiance, bvh, at);
+        }
     }
     for s in distant {
         if !bvh.any_hit(at, s.direction, 0.0, f32::MAX) {
@@ -300,8 +367,24 @@ fn incident(
     Some(sum.coefficients())
 }
 
+/// A triangle of even radiance as seen from a point, with a ray for each part.
+fn add_patch(sum: &mut sh::Projection, [a, b, c]: [Vec3; 3], radiance: [f32; 3], bvh: &Bvh, at: Vec3) {
+    let seen = |p: Vec3| (p - at).normalize_or_zero();
+    let angle = |[a, b, c]: [Vec3; 3]| spherical_triangle(seen(a), seen(b), seen(c));
+    let [ab, bc, ca] = [(a + b) / 2.0, (b + c) / 2.0, (c + a) / 2.0];
+    let parts = [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]];
+    let whole = [[a, b, c]];
+    let parts = if angle(whole[0]) > LARGE_SR { &parts[..] } else { &whole[..] };
+    for part in parts {
+        let middle = (part[0] + part[1] + part[2]) / 3.0;
+        if !bvh.any_hit(at, middle - at, 0.0, 1.0 - 1e-3) {
+            sum.add(seen(middle), radiance, angle(*part));
+        }
+    }
+}
+
 /// The `i`-th of `n` directions spread evenly over the sphere (Fibonacci lattice).
-fn sphere_direction(i: usize, n: usize) -> Vec3 {
+pub(crate) fn sphere_direction(i: usize, n: usize) -> Vec3 {
     const GOLDEN: f64 = 0.618_033_988_749_894_9;
     let y = 1.0 - (2.0 * i as f64 + 1.0) / n as f64;
     let r = (1.0 - y * y).sqrt();

@@ -11,6 +11,7 @@ use crate::camera::{Camera, Intrinsics};
 use crate::config::{self, Setup};
 use crate::dome::{self, CubeMap, Fisheye, Seen, SphereMap};
 use crate::image::{Image, RadianceImage};
+use crate::probe::fisheye::Projection;
 use glam::{Mat3, Vec3};
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use std::f32::consts::PI;
@@ -257,6 +258,7 @@ fn lens(environment: &config::EnvironmentCamera, (width, height): (usize, usize)
         Vec3::new(c[0] as f32, c[1] as f32, c[2] as f32)
     };
     Fisheye {
+        projection: Projection::Equidistant,
         focal_px: environment.focal_px,
         centre_px: environment.principal_point_px.unwrap_or([width as f64 / 2.0, height as f64 / 2.0]),
         half_field: environment.field_deg.to_radians() / 2.0,

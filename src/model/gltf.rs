@@ -4,13 +4,66 @@ use super::Scene;
 use super::face::triangulate;
 use crate::camera::Camera;
 use crate::error::{Error, FileContext, Result};
+use glam::{Quat, Vec3};
 use nalgebra::{UnitQuaternion, Vector3};
 use serde_json::{Value, json};
 use std::path::Path;
 
+/// A light of KHR_lights_punctual.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Light {
+    /// Name of what shines.
+    pub name: String,
+    /// Where it is.
+    pub kind: LightKind,
+    /// Unit vector along its beam, world.
+    pub towards: Vec3,
+    /// Radiant intensity (spot) or irradiance (directional) in plate units; glTF counts in candela and lux.
+    pub intensity: [f32; 3],
+}
+
+/// What kind of light.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum LightKind {
+    /// Over the half-space in front of a place, world, m.
+    Spot {
+        /// Where.
+        at: Vec3,
+    },
+    /// From infinity.
+    Directional,
+}
+
+/// Nodes and definitions of lights: glTF's shine along −Z.
+fn punctual(lights: &[Light]) -> (Vec<Value>, Vec<Value>) {
+    let node = |(i, light): (usize, &Light)| {
+        let q = Quat::from_rotation_arc(Vec3::NEG_Z, light.towards);
+        let mut node = json!({
+            "name": light.name, "rotation": q.to_array(),
+            "extensions": {"KHR_lights_punctual": {"light": i}},
+        });
+        if let LightKind::Spot { at } = light.kind {
+            node["translation"] = json!(at.to_array());
+        }
+        node
+    };
+    let definition = |light: &Light| {
+        let top = light.intensity.into_iter().fold(f32::MIN_POSITIVE, f32::max);
+        let mut made = json!({
+            "name": light.name, "color": light.intensity.map(|v| v / top), "intensity": top,
+            "type": if light.kind == LightKind::Directional { "directional" } else { "spot" },
+        });
+        if light.kind != LightKind::Directional {
+            made["spot"] = json!({"innerConeAngle": 0.0, "outerConeAngle": std::f64::consts::FRAC_PI_2});
+        }
+        made
+    };
+    (lights.iter().enumerate().map(node).collect(), lights.iter().map(definition).collect())
+}
+
 /// Writes `scene.glb`. A camera of glTF looks along −Z with +Y up, ours along +Z with +Y down; it has no distortion and
 /// its principal point is central.
-pub fn write(path: &Path, scene: &Scene, camera: &Camera) -> Result<()> {
+pub fn write(path: &Path, scene: &Scene, camera: &Camera, lights: &[Light]) -> Result<()> {
     let mut binary = Vec::new();
     let (mut views, mut accessors, mut meshes, mut nodes) = (vec![], vec![], vec![], vec![]);
     for primitive in &scene.primitives {
@@ -64,6 +117,8 @@ pub fn write(path: &Path, scene: &Scene, camera: &Camera) -> Result<()> {
     nodes.push(json!({
         "name": "plate", "camera": 0, "translation": [at.x, at.y, at.z], "rotation": [q.x, q.y, q.z, q.w],
     }));
+    let (places, lights) = punctual(lights);
+    nodes.extend(places);
     let perspective = json!({
         "aspectRatio": f64::from(i.width_px) / f64::from(i.height_px) * i.focal_px[1] / i.focal_px[0],
         "yfov": 2.0 * (f64::from(i.height_px) / 2.0 / i.focal_px[1]).atan(),
@@ -76,6 +131,10 @@ pub fn write(path: &Path, scene: &Scene, camera: &Camera) -> Result<()> {
         "nodes": nodes,
         "cameras": [{"name": "plate", "type": "perspective", "perspective": perspective}],
     });
+    if !lights.is_empty() {
+        root["extensionsUsed"] = json!(["KHR_lights_punctual"]);
+        root["extensions"] = json!({"KHR_lights_punctual": {"lights": lights}});
+    }
     if !binary.is_empty() {
         root["materials"] = json!([{"name": "grey", "pbrMetallicRoughness": {
             "baseColorFactor": [0.5, 0.5, 0.5, 1.0], "metallicFactor": 0.0, "roughnessFactor": 1.0,

@@ -324,7 +324,7 @@ fn the_glb_reads_back_with_the_camera_in_place() {
     let camera = &cameras()["plate.jpg"];
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scene.glb");
-    super::gltf::write(&path, &scene, camera).unwrap();
+    super::gltf::write(&path, &scene, camera, &[]).unwrap();
     let gltf = ::gltf::Gltf::from_slice(&std::fs::read(&path).unwrap()).unwrap();
     let blob = gltf.blob.clone().unwrap();
     let triangles: usize = gltf
@@ -350,6 +350,47 @@ fn the_glb_reads_back_with_the_camera_in_place() {
     let x = p.x / -p.z / (half * f64::from(lens.aspect_ratio().unwrap()));
     let seen = Point2::new((x + 1.0) * 320.0, (1.0 - p.y / -p.z / half) * 240.0);
     assert!((seen - camera.project(&point).unwrap()).norm() < 1e-2, "{seen}");
+}
+
+#[test]
+fn the_glb_has_its_lights_where_they_shine() {
+    use super::gltf::{Light, LightKind};
+    use glam::Vec3;
+    let scene = fitted(&marked(&|_| [0.0, 0.0])).unwrap();
+    let spot = Light {
+        name: "lamp".into(),
+        kind: LightKind::Spot { at: Vec3::new(0.5, 2.0, -1.0) },
+        towards: Vec3::NEG_Y,
+        intensity: [8.0, 4.0, 2.0],
+    };
+    let sun = Light {
+        kind: LightKind::Directional,
+        towards: Vec3::new(0.6, -0.8, 0.0),
+        intensity: [3.0, 3.0, 2.0],
+        name: "sun".into(),
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scene.glb");
+    super::gltf::write(&path, &scene, &cameras()["plate.jpg"], &[spot, sun]).unwrap();
+    let bytes = std::fs::read(&path).unwrap();
+    let glb = ::gltf::binary::Glb::from_slice(&bytes).unwrap();
+    let json: serde_json::Value = serde_json::from_slice(&glb.json).unwrap();
+    let lights = &json["extensions"]["KHR_lights_punctual"]["lights"];
+    assert_eq!(json["extensionsUsed"], serde_json::json!(["KHR_lights_punctual"]));
+    assert_eq!((&lights[0]["type"], &lights[1]["type"]), (&"spot".into(), &"directional".into()));
+    assert_eq!(lights[0]["intensity"], 8.0);
+    assert_eq!(lights[0]["color"], serde_json::json!([1.0, 0.5, 0.25]));
+    let nodes = json["nodes"].as_array().unwrap();
+    let lit: Vec<_> = nodes.iter().filter(|n| n["extensions"].is_object()).collect();
+    assert_eq!(lit.len(), 2);
+    let down = |node: &serde_json::Value| {
+        let q: Vec<f32> =
+            node["rotation"].as_array().unwrap().iter().map(|v| v.as_f64().unwrap() as f32).collect();
+        glam::Quat::from_xyzw(q[0], q[1], q[2], q[3]) * Vec3::NEG_Z
+    };
+    assert!((down(lit[0]) - Vec3::NEG_Y).length() < 1e-5);
+    assert!((down(lit[1]) - Vec3::new(0.6, -0.8, 0.0)).length() < 1e-5);
+    assert_eq!(lit[0]["translation"], serde_json::json!([0.5, 2.0, -1.0]));
 }
 
 #[test]

@@ -12,6 +12,8 @@ fn fit() -> ProbeFit {
     let eye = Point3::new(0.1, 0.7, 0.9);
     let camera = look_at(Intrinsics::pinhole(480, 360, 500.0), eye, centre);
     ProbeFit {
+        source: config::ProbeSource::Ball,
+        photographs: Vec::new(),
         diameter_px: 2.0 * 500.0 * RADIUS / (eye - centre).norm(),
         camera,
         centre,

@@ -41,6 +41,16 @@ impl Environment {
         (y.max(0.0) as usize).min(h - 1) * w + (x.max(0.0) as usize).min(w - 1)
     }
 
+    /// The texel that shows a point of the world. The ray's origin on the ball depends on its direction: three rounds settle
+    /// it far below a texel.
+    pub fn texel_towards(&self, point: Vec3) -> usize {
+        let mut texel = self.texel((point - self.origin[0]).normalize_or(Vec3::Y));
+        for _ in 0..3 {
+            texel = self.texel((point - self.origin[texel]).normalize_or(Vec3::Y));
+        }
+        texel
+    }
+
     /// Power per projected area from all directions, `∫ L dΩ`, by luminance.
     pub fn power(&self) -> f64 {
         let texels = self.radiance.pixels().iter().enumerate();

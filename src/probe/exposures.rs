@@ -1,7 +1,6 @@
 //! The probe's exposures as one picture: by the same exposures from pixels, alignment and merging as the plate's.
 
 use super::Problem;
-use crate::config::Role;
 use crate::error::{Context as _, Result};
 use crate::exposure::{self, Capture, Photo, Photograph};
 use crate::image::{Radiance, RadianceImage};
@@ -9,11 +8,10 @@ use crate::merge::{self, Merged, Series};
 use crate::response::Response;
 use crate::stage::Context;
 
-/// All photographs of the probe as one picture in units of the plate.
+/// Photographs of the probe from one place as one picture in units of the plate.
 ///
 /// A linear picture stands alone: it is brought to units of the plate, and the others are not looked at.
-pub fn merged(ctx: &Context, capture: &Capture, response: &Response) -> Result<Merged> {
-    let photos: Vec<&Photo> = capture.with_role(Role::Probe).collect();
+pub fn merged(ctx: &Context, capture: &Capture, photos: &[&Photo], response: &Response) -> Result<Merged> {
     if photos.is_empty() {
         return Err(Problem::NoPicture)
             .doing("looking for the mirror ball in the photographs of role `probe`");
@@ -27,7 +25,7 @@ pub fn merged(ctx: &Context, capture: &Capture, response: &Response) -> Result<M
     {
         return Ok(in_plate_units(&image, photo.exposure.map_or(unit, |e| e.scale()), unit));
     }
-    let series = Series::read(ctx, capture, photos, response, unit)?;
+    let series = Series::read(ctx, capture, photos.to_vec(), response, unit)?;
     series
         .aligned(|frames, _| merge::merge(frames, response, unit, &ctx.pipeline.merge))
         .doing("merging the probe's exposures")

@@ -4,7 +4,7 @@
 use super::consistency::{Consistency, Surface};
 use super::{ProbeFit, Problem, edge, outline};
 use crate::camera::Camera;
-use crate::config;
+use crate::config::{self, ProbeSource};
 use crate::image::{Image, RadianceImage};
 use nalgebra::{Point2, Point3, Vector2};
 use rayon::prelude::*;
@@ -101,6 +101,8 @@ pub fn find(
         return Err(Problem::NoOutline { support: outline_support, needed: MIN_SUPPORT });
     }
     Ok(ProbeFit {
+        source: ProbeSource::Ball,
+        photographs: Vec::new(),
         camera: camera.clone(),
         centre: view.centre(at),
         radius_m,

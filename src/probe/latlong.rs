@@ -1,6 +1,7 @@
 //! Equirectangular environments by the OpenEXR `latlong` convention: +Y at the top row, the image centre looks
 //! along +Z, longitude grows to the left.
 
+use crate::image::{Image, Radiance, RadianceImage};
 use glam::Vec3;
 use std::f32::consts::{PI, TAU};
 
@@ -18,6 +19,17 @@ pub fn pixel(direction: Vec3, width: usize, height: usize) -> (f32, f32) {
     let longitude = direction.x.atan2(direction.z);
     let latitude = direction.y.clamp(-1.0, 1.0).asin();
     ((PI - longitude) / TAU * width as f32, (PI / 2.0 - latitude) / PI * height as f32)
+}
+
+/// The map turned about its vertical: column `x` shows what column `x + columns` showed. Rows stay what they are, no light is lost.
+pub fn turned(map: &RadianceImage, columns: f64) -> RadianceImage {
+    let (w, h) = map.size();
+    let (whole, part) = (columns.floor(), (columns - columns.floor()) as f32);
+    let first = (whole as i64).rem_euclid(w as i64) as usize;
+    Image::from_fn(w, h, |x, y| {
+        let (a, b) = (map.at((first + x) % w, y).0, map.at((first + x + 1) % w, y).0);
+        Radiance([0, 1, 2].map(|k| a[k] + (b[k] - a[k]) * part))
+    })
 }
 
 /// Solid angle of each texel in row `y`, sr; exact, so that a whole map sums to 4π.

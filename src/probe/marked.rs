@@ -4,7 +4,7 @@
 use super::outline::{self, Rim};
 use super::{ProbeFit, Problem, find};
 use crate::camera::Camera;
-use crate::config;
+use crate::config::{self, ProbeSource};
 use crate::image::RadianceImage;
 use crate::least_squares::{self, Loss};
 use nalgebra::{DVector, Point2, Vector2, Vector3};
@@ -75,6 +75,8 @@ pub fn fit(
         return Err(Problem::TooSmall { diameter_px, needed_px });
     }
     Ok(ProbeFit {
+        source: ProbeSource::Ball,
+        photographs: Vec::new(),
         camera: camera.clone(),
         centre: at,
         radius_m,

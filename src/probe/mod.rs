@@ -2,27 +2,33 @@
 
 pub mod clipped;
 pub mod consistency;
+pub mod crop;
 mod edge;
 pub mod environment;
 pub mod exposures;
 pub mod find;
+pub mod fisheye;
 pub mod latlong;
 pub mod marked;
 pub mod mirror_ball;
 pub mod outline;
+pub mod placed;
 #[cfg(test)]
 pub mod synthetic;
 pub mod unwrap;
 pub mod view;
+pub mod views;
 
 use crate::artefact::json::JsonArtefact;
 use crate::calibrate;
 use crate::camera::Camera;
+use crate::config::ProbeSource;
 use glam::Vec3;
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
 pub use environment::Environment;
+pub use unwrap::Unwrapped;
 
 /// The reflectivity seen may differ from the one given by this share.
 const REFLECTIVITY_TOLERANCE: f64 = 0.1;
@@ -30,6 +36,10 @@ const REFLECTIVITY_TOLERANCE: f64 = 0.1;
 /// Where the ball is, and how surely.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ProbeFit {
+    /// What showed the environment. Of a fisheye lens or a map `camera` is the plate's, `centre` its place, and there is no ball.
+    pub source: ProbeSource,
+    /// The photographs of this view.
+    pub photographs: Vec<String>,
     /// The view in which the ball was photographed.
     pub camera: Camera,
     /// Centre of the ball in the world, m.
@@ -54,6 +64,9 @@ impl ProbeFit {
     /// Angular standard deviation, per axis, with which the unwrapped ball shows a point in a direction, rad: of a pixel
     /// (variance 1/12 px²) and of bilinear interpolation (1/6 px²), through the mirror's slope 2 / (R cos θ).
     pub fn blur(&self, direction: Vec3) -> f64 {
+        if self.source != ProbeSource::Ball {
+            return 2.0 / self.diameter_px;
+        }
         let view = (self.camera.centre() - self.centre).normalize();
         let d = Vector3::new(f64::from(direction.x), f64::from(direction.y), f64::from(direction.z));
         let cosine = ((1.0 + view.dot(&d)) / 2.0).max(0.0).sqrt().max(0.05);
@@ -70,7 +83,7 @@ impl ProbeFit {
 
 impl JsonArtefact for ProbeFit {
     const FORMAT: &'static str = "insitu-probe";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
 }
 
 /// Why a probe cannot be used.
@@ -161,6 +174,43 @@ pub enum Problem {
     /// The printed grid does not give the camera.
     #[error(transparent)]
     Grid(calibrate::Problem),
+    /// A lens without a focal length.
+    #[error("the fisheye lens has a focal length of {0} px")]
+    Focal(f64),
+    /// The camera of a crop.
+    #[error("the camera is {distance_m} m from the middle of a ball of {radius_m} m radius")]
+    Near {
+        /// `probe.distance_m`.
+        distance_m: f64,
+        /// `probe.radius_m`.
+        radius_m: f64,
+    },
+    /// Several views that do not show the same.
+    #[error(
+        "the view `{files}` agrees with the first one by a correlation of {agreement:.2}, {needed:.2} is needed"
+    )]
+    Unlike {
+        /// Pattern of its photographs.
+        files: String,
+        /// Correlation at the best turn.
+        agreement: f64,
+        /// What is needed.
+        needed: f64,
+    },
+    /// A view without photographs.
+    #[error("no photograph of role `probe` is called `{files}`")]
+    EmptyView {
+        /// Its pattern.
+        files: String,
+    },
+    /// A picture that cannot be of the layout.
+    #[error("the map has {}×{} px: in its layout {aspect} px of width go to one of height", size[0], size[1])]
+    Shape {
+        /// Width and height, px.
+        size: [usize; 2],
+        /// Width over height of the layout.
+        aspect: usize,
+    },
     /// The radius is not a length.
     #[error("the mirror ball has a radius of {0} m")]
     Radius(f64),
@@ -190,6 +240,13 @@ impl crate::error::Problem for Problem {
             Self::NoBall { .. } => "check probe.radius_m and `outline` under [ball] in annotations.toml",
             Self::OtherImage { .. } => "mark the outline in a photograph of the role `probe`",
             Self::OtherSize { .. } => "set probe.camera = \"grid\" and show the printed grid beside the ball",
+            Self::Focal(_) => "give probe.focal_px, px per radian in the middle of the picture",
+            Self::Near { .. } => "give probe.distance_m, from the camera to the ball's middle",
+            Self::Unlike { .. } => {
+                "check that all views are of one ball in one place, and each view's elevation_deg"
+            }
+            Self::EmptyView { .. } => "check `files` under [[probe.views]]",
+            Self::Shape { .. } => "check probe.layout",
             Self::CutOff { .. } => "use a picture that shows the whole ball",
             Self::TooSmall { .. } => "go closer, use a longer lens or a larger picture",
             Self::Radius(_) => "give the ball's radius in metres as probe.radius_m",

@@ -11,6 +11,8 @@ fn fit() -> ProbeFit {
     let camera =
         look_at(Intrinsics::pinhole(320, 240, 600.0), Point3::new(0.0, 0.9, 1.2), Point3::new(0.0, 0.5, 0.0));
     ProbeFit {
+        source: config::ProbeSource::Ball,
+        photographs: Vec::new(),
         diameter_px: 2.0 * 600.0 * RADIUS / 1.26,
         camera,
         centre: Point3::new(0.0, 0.5, 0.0),

@@ -27,7 +27,8 @@ pub fn find(
 ) -> Result<View, Problem> {
     match settings.camera {
         ProbeCamera::Plate => from_plate(picture, cameras.plate_camera()),
-        ProbeCamera::Grid => from_grid(picture, cameras, grid),
+        // A crop needs none of this: [`super::crop`].
+        ProbeCamera::Grid | ProbeCamera::Crop => from_grid(picture, cameras, grid),
     }
 }
 

@@ -19,8 +19,7 @@ const ANGLES: usize = 64;
 impl Lobe {
     /// Means of the environment under cosⁿα about each axis, and the lobe's albedo.
     pub fn new(environment: &Environment, exponent: f32) -> Self {
-        let cut = 1e-6f32.powf(1.0 / exponent.max(1e-3));
-        let means = Prefiltered::new(environment, exponent, cut, |cos| cos.powf(exponent));
+        let means = Prefiltered::phong(environment, exponent);
         let albedo = (0..ANGLES)
             .into_par_iter()
             .map(|i| directional_albedo(exponent, PI / 2.0 * i as f32 / (ANGLES - 1) as f32))

@@ -1,10 +1,33 @@
 //! Prefiltered environments (Heidrich and Seidel 1999): the mean radiance under a kernel about every axis.
 
 use super::environment::Environment;
+use crate::artefact::exr::Planes;
 use crate::image::{Image, Radiance, RadianceImage};
 use crate::probe::latlong;
+use crate::subtractive::ggx_distribution as distribution;
 use glam::Vec3;
 use rayon::prelude::*;
+
+/// Roughness α of GGX, and exponents of Phong, of the levels of `prefiltered.exr`.
+const ROUGHNESS: [f32; 4] = [0.1, 0.2, 0.4, 0.8];
+const EXPONENTS: [f32; 4] = [1000.0, 200.0, 50.0, 10.0];
+
+/// The planes of `prefiltered.exr`: the environment at the object's place under each lobe as seen head-on, normalised, by
+/// direction of the lobe's axis; layers `ggx_ALPHA` and `phong_EXPONENT`.
+pub fn levels(environment: &Environment) -> Planes {
+    let (width, height) = environment.map.size();
+    let mut planes = Planes::from_radiance(&environment.map);
+    let ggx = ROUGHNESS.map(|a| (format!("ggx_{a}"), Prefiltered::ggx(environment, a)));
+    let phong = EXPONENTS.map(|n| (format!("phong_{n}"), Prefiltered::phong(environment, n)));
+    for (name, level) in ggx.into_iter().chain(phong) {
+        let means: Vec<[f32; 3]> =
+            (0..width * height).map(|i| level.radiance(environment.texel(i).0)).collect();
+        for (k, channel) in ["R", "G", "B"].into_iter().enumerate() {
+            planes = planes.with(&format!("{name}.{channel}"), means.iter().map(|m| m[k]).collect());
+        }
+    }
+    planes
+}
 
 /// Means of an environment by direction of a kernel's axis: a `latlong` map.
 #[derive(Debug, Clone)]
@@ -43,6 +66,19 @@ impl Prefiltered {
         Self { map: Image::from_pixels(width, height, pixels) }
     }
 
+    /// Under GGX's lobe of roughness α, seen along the normal.
+    pub fn ggx(environment: &Environment, roughness: f32) -> Self {
+        // The facet that mirrors a light at an angle from the normal stands at half of it.
+        let kernel = |cos: f32| distribution(((1.0 + cos) / 2.0).sqrt(), roughness) * cos;
+        Self::new(environment, roughness.max(1e-3).powi(-2), 0.0, kernel)
+    }
+
+    /// Under Phong's lobe, cosⁿ of the angle from the axis.
+    pub fn phong(environment: &Environment, exponent: f32) -> Self {
+        let cut = 1e-6f32.powf(1.0 / exponent.max(1e-3));
+        Self::new(environment, exponent, cut, |cos| cos.powf(exponent))
+    }
+
     /// The mean about a unit axis: bilinear, around the seam.
     pub fn radiance(&self, axis: Vec3) -> [f32; 3] {
         let (w, h) = self.map.size();
@@ -56,5 +92,38 @@ impl Prefiltered {
         std::array::from_fn(|k| {
             (a[k] * (1.0 - ax) + b[k] * ax) * (1.0 - ay) + (c[k] * (1.0 - ax) + d[k] * ax) * ay
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn levels_keep_even_light_and_spread_a_lamp_the_more_the_rougher() {
+        let even = Environment { map: Image::from_fn(64, 32, |_, _| Radiance([2.0, 1.0, 0.5])) };
+        for (name, plane) in &levels(&even).channels {
+            let truth = if name.ends_with('R') {
+                2.0
+            } else if name.ends_with('G') {
+                1.0
+            } else {
+                0.5
+            };
+            assert!(plane.iter().all(|v| (v / truth - 1.0).abs() < 1e-3), "{name}");
+        }
+        let towards = Vec3::new(0.6, 0.64, 0.48).normalize();
+        let lamp = |i: usize| latlong::direction((i % 64) as f32 + 0.5, (i / 64) as f32 + 0.5, 64, 32);
+        let lit = Environment {
+            map: Image::from_fn(64, 32, |x, y| {
+                Radiance([if lamp(y * 64 + x).angle_between(towards) < 0.15 { 100.0 } else { 0.0 }; 3])
+            }),
+        };
+        let planes = levels(&lit);
+        let peak = |name: &str| planes.plane(name).unwrap().iter().copied().fold(0.0, f32::max);
+        let peaks: Vec<f32> =
+            ["R", "ggx_0.1.R", "ggx_0.2.R", "ggx_0.4.R", "ggx_0.8.R"].iter().map(|n| peak(n)).collect();
+        assert!(peaks.windows(2).all(|p| p[0] > p[1]) && peaks[4] > 0.0, "{peaks:?}");
+        assert!(peak("phong_1000.R") > peak("phong_10.R"));
     }
 }

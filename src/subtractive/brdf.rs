@@ -105,7 +105,7 @@ fn beckmann(cos: f32, roughness: f32) -> f32 {
 }
 
 /// The same by GGX.
-pub(super) fn ggx(cos: f32, roughness: f32) -> f32 {
+pub(crate) fn ggx(cos: f32, roughness: f32) -> f32 {
     let a2 = roughness.max(LEAST_ROUGHNESS).powi(2);
     // cos² (a² − 1) + 1, without the loss of digits near cos = 1.
     let d = cos * cos * a2 + (1.0 - cos) * (1.0 + cos);

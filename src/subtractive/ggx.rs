@@ -1,7 +1,7 @@
 //! The GGX lobe against an environment: the mean under the lobe as seen head-on, times what the lobe reflects of white
 //! light (Karis 2013, "split sum").
 
-use super::brdf::{ggx, grazing, smith};
+use super::brdf::{grazing, smith};
 use crate::render::{Environment, Prefiltered};
 use glam::Vec3;
 use std::f32::consts::TAU;
@@ -21,11 +21,9 @@ const COSINES: usize = 64;
 impl GgxLobe {
     /// Prefilters an environment.
     pub fn new(environment: &Environment, roughness: f32, normal_reflectance: f32) -> Self {
-        // Seen from the normal, the facet that mirrors a light at α from it stands at α/2.
-        let kernel = |cos: f32| ggx(((1.0 + cos) / 2.0).sqrt(), roughness) * cos;
         let cosine = |i: usize| (i as f32 / (COSINES - 1) as f32).max(1e-3);
         Self {
-            means: Prefiltered::new(environment, roughness.max(1e-3).powi(-2), 0.0, kernel),
+            means: Prefiltered::ggx(environment, roughness),
             albedo: (0..COSINES).map(|i| albedo(roughness, cosine(i))).collect(),
             normal_reflectance,
         }

@@ -24,6 +24,7 @@ mod structured;
 mod surface;
 
 pub use brdf::Brdf;
+pub(crate) use brdf::ggx as ggx_distribution;
 pub use buffer::ShadowBuffer;
 pub(crate) use buffer::{grid, sampled};
 pub use cache::RadianceCache;

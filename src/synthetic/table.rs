@@ -6,6 +6,7 @@ use super::tracer::{Ball, Finish, Quad, Tracer};
 use crate::camera::Camera;
 use crate::dome::Fisheye;
 use crate::image::RadianceImage;
+use crate::probe::fisheye::Projection;
 use crate::shadow::Occluder;
 use glam::{Mat3, Quat, Vec3};
 
@@ -87,6 +88,7 @@ pub fn ball_camera() -> Camera {
 /// A lens beside the board that looks up.
 pub fn fisheye() -> Fisheye {
     Fisheye {
+        projection: Projection::Equidistant,
         focal_px: 48.0,
         centre_px: [80.0; 2],
         half_field: std::f64::consts::FRAC_PI_2,

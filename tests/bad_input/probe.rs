@@ -60,3 +60,49 @@ probe = []
         ),
     ]);
 }
+
+#[test]
+fn views_lenses_and_maps_must_be_what_they_are_said_to_be() {
+    check(&[
+        case(
+            "a view without photographs",
+            &[Set("[probe]\nviews = [{ files = \"side_*.jpg\" }]\n")],
+            "probe",
+            1,
+            "sorting the views of the ball: no photograph of role `probe` is called `side_*.jpg`",
+            "check `files` under [[probe.views]]",
+        ),
+        case(
+            "a view from beyond the zenith",
+            &[Set("[probe]\nviews = [{ elevation_deg = 120.0 }]\n")],
+            "probe",
+            2,
+            "case.toml:3:1: `elevation_deg` of a view is 120",
+            "give a number from -90 to 90",
+        ),
+        case(
+            "a crop from within the ball",
+            &[Set("[probe]\ncamera = \"crop\"\ndistance_m = 0.05\n")],
+            "probe",
+            1,
+            "placing the camera of the ball's crop: the camera is 0.05 m from the middle of a ball of 0.1 m radius",
+            "give probe.distance_m, from the camera to the ball's middle",
+        ),
+        case(
+            "a lens without a focal length",
+            &[Set("[probe]\nsource = \"fisheye\"\n")],
+            "probe",
+            1,
+            "taking the environment from the photographs of role `probe`: the fisheye lens has a focal length of 0 px",
+            "give probe.focal_px, px per radian in the middle of the picture",
+        ),
+        case(
+            "a photograph that is no map",
+            &[Set("[probe]\nsource = \"map\"\n")],
+            "probe",
+            1,
+            "taking the environment from the photographs of role `probe`: the map has 640×480 px: in its layout 2 px of width go to one of height",
+            "check probe.layout",
+        ),
+    ]);
+}
