@@ -1,16 +1,15 @@
-//! Subtractive shadows of the plate on the graphics processor: raster passes draw a shadow map for each light, a compute pass
-//! fills the shadow buffer, another resamples it and leaves ε on the device.
+//! The plate under a few lights on the graphics processor: raster passes draw a shadow map for each light, a compute pass
+//! fills the shadow buffer, another resamples it. What the methods `subtractive` and `light-dome` share.
 
 use super::atlas::{Extent, Packing};
 use super::device::Buffer;
-use super::layout::{Detail, Light, Sample, ShadowMap};
+use super::layout::{self, Detail, Sample, ShadowMap};
 use super::maps::Maps;
-use super::rays::Hierarchies;
+use super::rays::{Hierarchies, NOTHING};
 use super::receivers::Block;
-use super::{Budget, Device, Difference, shaders};
-use crate::config::Render;
-use crate::shadow::{Bounds, MapPlan, Occluder, Problem, Removed, Scene, ShadowOrigin};
-use crate::subtractive::{self, expected_error, grid, half, removed, sampled};
+use super::{Budget, Device, shaders};
+use crate::shadow::{Bounds, MapPlan, Occluder, Problem, Removed, ShadowOrigin};
+use crate::subtractive::{Light, LitPlate as Plain, Surface, grid, half, sampled};
 use crate::visibility::BinaryBvh;
 use std::ops::Range;
 use std::time::Instant;
@@ -18,6 +17,9 @@ use std::time::Instant;
 /// Invocations of a workgroup of subtractive_resample.wgsl, and of a side of one of subtractive_gather.wgsl.
 const WORKGROUP: usize = 256;
 const GATHER_SIDE: usize = 8;
+/// Lights of a batch: drivers end long kernels, and llvmpipe, the software Vulkan, ends an invocation's loops after 65,535
+/// rounds without a word, those of rays against the scene included.
+const MOST_LIGHTS: usize = 64;
 /// Kinds of lights, as subtractive_hidden.wgsl has them.
 const DISTANT: u32 = 0;
 const POINT: u32 = 1;
@@ -25,10 +27,8 @@ const PATCH: u32 = 2;
 /// A light without a map.
 const NONE: u32 = u32::MAX;
 
-/// The method with everything static on the device; only the object and its lights change from frame to frame.
-pub struct Subtractive<'a> {
-    /// The same method in plain Rust: finds the lights, chooses the detail.
-    plain: subtractive::Subtractive<'a>,
+/// Everything of it that stays on the device when the object and its lights change.
+pub(super) struct LitPlate {
     device: Device,
     maps: Maps,
     gather: wgpu::ComputePipeline,
@@ -42,13 +42,6 @@ pub struct Subtractive<'a> {
     blocks: Vec<Block>,
 }
 
-/// A frame whose ε is on the device.
-pub struct DrawnLights<'m, 'a> {
-    method: &'m Subtractive<'a>,
-    lights: Vec<subtractive::Light>,
-    maps: usize,
-}
-
 /// Lights whose maps are held at a time.
 struct Batch {
     lights: Range<usize>,
@@ -58,20 +51,14 @@ struct Batch {
     maps: Vec<u32>,
 }
 
-impl<'a> Subtractive<'a> {
-    /// Uploads everything that does not depend on the object.
-    pub fn prepare(scene: &Scene<'a>, settings: &Render) -> Result<Self, Problem> {
-        Self::prepare_within(scene, settings, Budget::default())
-    }
-
-    /// The same with less of the device.
-    pub fn prepare_within(scene: &Scene<'a>, settings: &Render, budget: Budget) -> Result<Self, Problem> {
-        let plain = subtractive::Subtractive::prepare(scene, settings)?;
+impl LitPlate {
+    /// Uploads it.
+    pub fn new(plain: &Plain, budget: Budget) -> Result<Self, Problem> {
         let device = Device::open(budget.buffer_bytes)?;
-        let extent = Extent::new(&device, settings.shadow_map_px, budget.texels)?;
-        let mesh = &scene.light.mesh;
+        let extent = Extent::new(&device, plain.map_px, budget.texels)?;
+        let mesh = &plain.scene.light.mesh;
         let storage = |label| Buffer::new(&device, label, wgpu::BufferUsages::STORAGE);
-        let method = Self {
+        let plate = Self {
             maps: Maps::new(&device, extent)?,
             gather: device.kernel(shaders::SUBTRACTIVE_GATHER, "gather")?,
             resample: device.kernel(shaders::SUBTRACTIVE_RESAMPLE, "resample")?,
@@ -80,12 +67,11 @@ impl<'a> Subtractive<'a> {
             detail: Buffer::new(&device, "detail", wgpu::BufferUsages::UNIFORM),
             samples: storage("the shadow buffer, bytes,"),
             side: 0,
-            blocks: Block::all(&device, plain.prepared(), scene.plate)?,
-            plain,
+            blocks: Block::all(&device, &plain.prepared, plain.scene.plate)?,
             device,
         };
-        method.device.wait()?;
-        Ok(method)
+        plate.device.wait()?;
+        Ok(plate)
     }
 
     /// Name of the adapter, and what it is.
@@ -93,57 +79,48 @@ impl<'a> Subtractive<'a> {
         &self.device.adapter
     }
 
-    /// ε of an object.
-    pub fn removed_radiance(&mut self, occluder: &Occluder) -> Result<Removed, Problem> {
-        self.advance(occluder)?.read()
-    }
-
-    /// Starts a frame with as much detail as the settings ask for and, if they give a time, as it allows; its ε stays on the
-    /// device until it is read.
-    pub fn advance(&mut self, occluder: &Occluder) -> Result<DrawnLights<'_, 'a>, Problem> {
-        occluder.check()?;
+    /// What an object removes of lights, found at one pixel in `side`². Where the frame is `timed`, gives also what its maps,
+    /// samples and the rest took, s.
+    pub fn removed(
+        &mut self,
+        plain: &Plain,
+        lights: &[Light],
+        occluder: &Occluder,
+        (side, timed): (usize, bool),
+    ) -> Result<(Removed, [f64; 3]), Problem> {
         let started = Instant::now();
-        let detail = self.plain.detail();
-        let lights = self.plain.lights(occluder, detail)?;
         let bounds = Bounds::of(occluder);
-        let size = self.plain.settings().shadow_map_px;
-        let plans: Vec<MapPlan> =
-            lights.iter().map(|light| MapPlan::new(0, light.origin, 1.0, 0, &bounds, size)).collect();
+        let plan = |light: &Light| MapPlan::new(0, light.origin, 1.0, 0, &bounds, plain.map_px);
+        let plans: Vec<MapPlan> = lights.iter().map(plan).collect();
         self.maps.upload_mesh(&self.device, occluder)?;
         let near = plans.iter().any(|p| p.projection.is_none());
         let object =
             if near { BinaryBvh::new(&occluder.vertices, &occluder.triangles) } else { BinaryBvh::default() };
         self.hierarchies.write(&self.device, &object)?;
-        self.upload_samples(detail.side)?;
-        let mut seconds = [started.elapsed().as_secs_f64(), 0.0, 0.0];
+        self.upload_samples(plain, side)?;
+        let mut seconds = [0.0, 0.0, started.elapsed().as_secs_f64()];
         let batches = self.batches(&plans);
         for (i, batch) in batches.iter().enumerate() {
-            let taken = self.run(&lights, batch, i, i + 1 == batches.len())?;
+            let order = (i, i + 1 == batches.len());
+            let taken = self.run(plain, lights, batch, order, timed)?;
             (0..3).for_each(|k| seconds[k] += taken[k]);
         }
-        self.plain.learn(detail, seconds);
         let maps = batches.iter().map(|b| b.parameters.len()).sum();
-        Ok(DrawnLights { method: self, lights, maps })
+        let size = plain.scene.plate.size();
+        let (epsilon, differences) = Block::epsilon(self.blocks.iter(), &self.device, &plain.prepared, size)?;
+        Ok((plain.stated(epsilon, [lights.len(), maps], &differences), seconds))
     }
 
-    /// ε, and how far plain Rust lies from it.
-    pub fn parity(&mut self, occluder: &Occluder) -> Result<(Removed, Difference), Problem> {
-        let removed = self.removed_radiance(occluder)?;
-        let plain = self.plain.frame(occluder)?;
-        let difference = Difference::between(self.plain.scene().plate, &plain.epsilon, &removed.epsilon);
-        Ok((removed, difference))
-    }
-
-    fn upload_samples(&mut self, side: usize) -> Result<(), Problem> {
+    fn upload_samples(&mut self, plain: &Plain, side: usize) -> Result<(), Problem> {
         if self.side == side {
             return Ok(());
         }
-        let sample = |surface: Option<subtractive::Surface>| {
+        let sample = |surface: Option<Surface>| {
             let [position, normal] =
                 surface.map_or([[0.0; 3]; 2], |s| [s.position.to_array(), s.normal.to_array()]);
             Sample { position, present: u32::from(surface.is_some()), normal, padding: 0, value: [0.0; 4] }
         };
-        let samples: Vec<Sample> = sampled(self.plain.surfaces(), side).into_iter().map(sample).collect();
+        let samples: Vec<Sample> = sampled(&plain.surfaces, side).into_iter().map(sample).collect();
         self.samples.write(&self.device, bytemuck::cast_slice(&samples))?;
         self.side = side;
         Ok(())
@@ -152,7 +129,7 @@ impl<'a> Subtractive<'a> {
     /// As few as the atlas and the device's largest buffer allow; at least one.
     fn batches(&self, plans: &[MapPlan]) -> Vec<Batch> {
         let room = self.device.storage_bytes() as usize;
-        let most = (room / size_of::<ShadowMap>().max(size_of::<Light>())).max(1);
+        let most = (room / size_of::<ShadowMap>().max(size_of::<layout::Light>())).clamp(1, MOST_LIGHTS);
         let (mut batches, mut at) = (Vec::new(), 0);
         while at < plans.len() {
             let (start, mut packing) = (at, Packing::new(self.maps.atlas.extent));
@@ -172,28 +149,30 @@ impl<'a> Subtractive<'a> {
         batches
     }
 
-    /// Draws, gathers and resamples a batch. Gives what that took for all else, maps and samples, s, if a time is to be kept.
+    /// Draws, gathers and resamples a batch, by its number and whether it is the last. Gives what maps, samples and the rest
+    /// took, s.
     fn run(
         &mut self,
-        lights: &[subtractive::Light],
+        plain: &Plain,
+        lights: &[Light],
         batch: &Batch,
-        number: usize,
-        last: bool,
+        (number, last): (usize, bool),
+        timed: bool,
     ) -> Result<[f64; 3], Problem> {
         let started = Instant::now();
         let all = batch.lights.clone().zip(&batch.maps).map(|(i, &map)| laid_out(&lights[i], map, half(i)));
         self.lights.write(&self.device, bytemuck::cast_slice(&all.collect::<Vec<_>>()))?;
         let [scene, object] = self.hierarchies.roots();
-        let (columns, rows) = grid(self.plain.surfaces(), self.side);
+        let (columns, rows) = grid(&plain.surfaces, self.side);
         let detail = Detail {
             lights: batch.lights.len() as u32,
-            scene,
+            scene: if plain.model_hides { scene } else { NOTHING },
             object,
             add: u32::from(number > 0),
             side: self.side as u32,
             columns: columns as u32,
             rows: rows as u32,
-            width: self.plain.surfaces().width() as u32,
+            width: plain.surfaces.width() as u32,
             last: u32::from(last),
             padding_a: 0,
             padding_b: [0; 2],
@@ -202,32 +181,26 @@ impl<'a> Subtractive<'a> {
         let (counts, _) = self.maps.upload(&self.device, &batch.parameters, batch.layers, [0, 0])?;
         let mut marks = vec![started.elapsed()];
         let mut encoder = self.device.device.create_command_encoder(&Default::default());
+        let mut mark = |encoder: &mut wgpu::CommandEncoder| -> Result<(), Problem> {
+            if timed {
+                // Waits for what was encoded.
+                let next = self.device.device.create_command_encoder(&Default::default());
+                self.device.queue.submit([std::mem::replace(encoder, next).finish()]);
+                self.device.wait()?;
+            }
+            marks.push(started.elapsed());
+            Ok(())
+        };
         self.maps.draw(&counts, None, &mut encoder);
-        self.mark(&mut encoder, started, &mut marks)?;
+        mark(&mut encoder)?;
         self.fill([columns, rows], &mut encoder);
-        self.mark(&mut encoder, started, &mut marks)?;
+        mark(&mut encoder)?;
         self.subtract(&mut encoder);
-        self.mark(&mut encoder, started, &mut marks)?;
+        mark(&mut encoder)?;
         self.device.queue.submit([encoder.finish()]);
         self.device.check()?;
         let [before, drawn, filled, done] = [0, 1, 2, 3].map(|i| marks[i].as_secs_f64());
-        Ok([before + done - filled, drawn - before, filled - drawn])
-    }
-
-    /// Where a time is to be kept, waits for what was encoded.
-    fn mark(
-        &self,
-        encoder: &mut wgpu::CommandEncoder,
-        started: Instant,
-        marks: &mut Vec<std::time::Duration>,
-    ) -> Result<(), super::Problem> {
-        if self.plain.settings().frame_ms > 0.0 {
-            let next = self.device.device.create_command_encoder(&Default::default());
-            self.device.queue.submit([std::mem::replace(encoder, next).finish()]);
-            self.device.wait()?;
-        }
-        marks.push(started.elapsed());
-        Ok(())
+        Ok([drawn - before, filled - drawn, before + done - filled])
     }
 
     /// What both kernels bind first.
@@ -266,29 +239,14 @@ impl<'a> Subtractive<'a> {
     }
 }
 
-impl DrawnLights<'_, '_> {
-    /// Waits for it and reads ε.
-    pub fn read(self) -> Result<Removed, Problem> {
-        let Subtractive { plain, device, blocks, .. } = self.method;
-        let plate = plain.scene().plate;
-        let prepared = plain.prepared();
-        let (epsilon, differences) = Block::epsilon(blocks.iter(), device, prepared, plate.size())?;
-        let luminance = |p: &crate::shadow::Pixel| epsilon.pixels()[p.index as usize].luminance();
-        let pairs =
-            prepared.pixels.iter().zip(&differences).map(|(p, difference)| [luminance(p), *difference]);
-        let expected = expected_error(pairs);
-        Ok(removed(epsilon, &self.lights, self.maps, expected))
-    }
-}
-
-fn laid_out(light: &subtractive::Light, map: u32, half: f32) -> Light {
+fn laid_out(light: &Light, map: u32, half: f32) -> layout::Light {
     let (kind, origin) = match light.origin {
         ShadowOrigin::Direction(direction) => (DISTANT, direction),
         ShadowOrigin::Point(point) => (POINT, point),
     };
     let patch = light.patch().filter(|_| kind == POINT);
     let (normal, reference, spread) = patch.unwrap_or((glam::Vec3::ZERO, 1.0, 0.0));
-    Light {
+    layout::Light {
         origin: origin.to_array(),
         kind: if patch.is_some() { PATCH } else { kind },
         power: light.power,
