@@ -401,7 +401,7 @@ fn light_domes_agree() {
     let objects = [
         ("blob", &room, blob(Vec3::new(-0.3, 0.4, 0.1), 0.25, 0.2, 20)),
         ("box on the floor", &room, cuboid(Vec3::new(0.1, 0.12, 0.0), Vec3::new(0.10, 0.12, 0.08))),
-        ("object near a source", &room, blob(Vec3::new(0.0, 2.45, 0.8), 0.14, 0.1, 12)),
+        ("object near a source", &room, blob(Vec3::new(0.05, 2.4, 0.75), 0.14, 0.1, 12)),
         ("sun and sky", &outdoors(), blob(Vec3::new(0.0, 0.2, 0.0), 0.15, 0.1, 24)),
     ];
     for (name, stage, object) in &objects {
