@@ -17,11 +17,14 @@ pub struct Session<'a> {
     pace: Pace,
 }
 
+/// ε of one occluder after the other.
+type Frames<'a> = dyn FnMut(&Occluder) -> Result<Removed, Problem> + 'a;
+
 enum Method<'a> {
     Cpu(Box<RadianceTransfer<'a>>),
     Gpu(Box<gpu::RadianceTransfer<'a>>),
     /// One whose passes are its own affair.
-    Other(Box<dyn FnMut(&Occluder) -> Result<Removed, Problem> + 'a>),
+    Other(Box<Frames<'a>>),
 }
 
 /// A frame of a session.
