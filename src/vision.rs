@@ -36,6 +36,9 @@ pub enum Problem {
         /// Markers in the dictionary.
         count: u32,
     },
+    /// A camera device that is not there, or is in use.
+    #[error("camera {0} cannot be opened")]
+    Camera(u32),
     /// A video that cannot be read or written.
     #[error("{0}")]
     Video(&'static str),
@@ -49,6 +52,11 @@ impl crate::error::Problem for Problem {
             }
             Self::Dictionary(name) => markers::nearest(name),
             Self::Marker { .. } => "take another dictionary, or markers with smaller numbers".into(),
+            Self::Camera(_) => {
+                "plug it in, close what else uses it, and check its number (on Linux 0 is /dev/video0); frames may also come as \
+                 a video file or a folder of pictures"
+                    .into()
+            }
             Self::Video(_) => {
                 "check it with a video player; frames may also come as a folder of pictures".into()
             }

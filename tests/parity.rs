@@ -5,7 +5,7 @@ mod room;
 
 use glam::Vec3;
 use insitu::config::{Backend, Combination, OcclusionFilter, Render, ShadowMethod, Transfer};
-use insitu::gpu::{self, Budget, Difference};
+use insitu::gpu::{self, Budget, Difference, Twin};
 use insitu::illuminate::patch::{DistantSource, LightModel};
 use insitu::image::RadianceImage;
 use insitu::shadow::{self, Occluder, ShadowMap};
@@ -208,6 +208,16 @@ fn distant_light_agrees() {
     check(&stage, &object, &Render::default(), "distant light");
 }
 
+/// ε of an object, by plain Rust too, and again after a frame with another one.
+fn check_twin(gpu: &mut impl Twin, object: &Occluder, name: &str) -> shadow::Removed {
+    let (found, difference) = gpu.parity(object).unwrap();
+    println!("{name} on {}: {} maps or textures, {difference:?}", gpu.adapter(), found.shadow_maps);
+    assert!(difference.agrees(), "{name}: {difference:?}");
+    gpu.removed_radiance(&cuboid(Vec3::new(0.3, 0.5, -0.3), Vec3::splat(0.2))).unwrap();
+    assert_eq!(gpu.removed_radiance(object).unwrap(), found, "{name}, drawn again");
+    found
+}
+
 /// Gives ε, if there is an adapter.
 fn check_textures(
     stage: &Stage,
@@ -218,12 +228,7 @@ fn check_textures(
 ) -> Option<RadianceImage> {
     let scene = stage.scene();
     let mut gpu = or_skipped(gpu::OcclusionTextures::prepare_within(&scene, settings, buffer_bytes))?;
-    let (found, difference) = gpu.parity(object).unwrap();
-    println!("{name} on {}: {} textures, {difference:?}", gpu.adapter(), found.shadow_maps);
-    assert!(difference.agrees(), "{name}: {difference:?}");
-    // A frame leaves nothing behind, and the session's is the same.
-    gpu.removed_radiance(&cuboid(Vec3::new(0.3, 0.5, -0.3), Vec3::splat(0.2))).unwrap();
-    assert_eq!(gpu.removed_radiance(object).unwrap(), found, "{name}, drawn again");
+    let found = check_twin(&mut gpu, object, name);
     let settings =
         Render { method: ShadowMethod::OcclusionTextures, backend: Backend::Gpu, ..settings.clone() };
     let session = shadow::Session::prepare(&scene, &settings).unwrap().frame(object).unwrap();
@@ -292,17 +297,12 @@ fn check_lights(
 ) -> Option<shadow::Removed> {
     let scene = stage.scene();
     let mut gpu = or_skipped(gpu::Subtractive::prepare_within(&scene, settings, budget))?;
-    let (found, difference) = gpu.parity(object).unwrap();
-    println!("{name} on {}: {} maps, {difference:?}", gpu.adapter(), found.shadow_maps);
-    assert!(difference.agrees(), "{name}: {difference:?}");
+    let found = check_twin(&mut gpu, object, name);
     let settings = Render { method: ShadowMethod::Subtractive, ..settings.clone() };
     let plain = shadow::removed_radiance(&scene, object, &settings).unwrap();
     assert_eq!((found.shadow_maps, found.sources_used), (plain.shadow_maps, plain.sources_used), "{name}");
     let [a, b] = [&found, &plain].map(|r| r.expected_error.unwrap_or(-1.0));
     assert!((a - b).abs() <= 0.01 * b.abs(), "{name}: expected error {a}, on the CPU {b}");
-    // A frame leaves nothing behind, and the session's is the same.
-    gpu.removed_radiance(&cuboid(Vec3::new(0.3, 0.5, -0.3), Vec3::splat(0.2))).unwrap();
-    assert_eq!(gpu.removed_radiance(object).unwrap(), found, "{name}, drawn again");
     let settings = Render { backend: Backend::Gpu, ..settings };
     if budget.texels == Budget::default().texels {
         let session = shadow::Session::prepare(&scene, &settings).unwrap().frame(object).unwrap();
@@ -327,6 +327,9 @@ fn subtractive_shadows_agree() {
             check_lights(&stage, object, &settings, Budget::default(), &name);
         }
     }
+    // So many lights that one loop over all of them and their rays would be too long for llvmpipe.
+    let many = Render { lights: 400, pixels_per_sample: 1, shadow_map_px: 128, ..Default::default() };
+    check_lights(&stage, &objects[1].1, &many, Budget::default(), "many lights");
     let standing = check_lights(&stage, &objects[1].1, &Render::default(), Budget::default(), "by default");
     assert!(standing.is_none_or(|r| is_shadowed(&r.epsilon)));
 }
@@ -345,8 +348,8 @@ fn subtractive_shadows_agree_however_little_the_device_holds() {
     }
 }
 
-#[test]
-fn subtractive_shadows_of_distant_light_agree() {
+/// A floor and a wall under sun and sky.
+fn outdoors() -> Stage {
     let mut light = LightModel::default();
     room::face(&mut light.mesh, Vec3::new(-1.0, 0.0, -1.0), Vec3::Z * 2.0, Vec3::X * 2.0, 0.25, |_| [0.1; 3]);
     room::face(&mut light.mesh, Vec3::new(0.3, 0.0, -0.6), Vec3::Z * 0.5, Vec3::Y * 0.5, 0.25, |_| [0.1; 3]);
@@ -362,15 +365,78 @@ fn subtractive_shadows_of_distant_light_agree() {
     };
     light.distant = std::iter::once(sun).chain((0..9).map(sky)).collect();
     let camera = camera([0.5, 0.9, 1.2], [0.0, 0.0, 0.0], 96, 72, 90.0);
-    let stage = Stage::new(light, &camera, &Transfer { source_share: 1.0, ..Default::default() });
+    Stage::new(light, &camera, &Transfer { source_share: 1.0, ..Default::default() })
+}
+
+#[test]
+fn subtractive_shadows_of_distant_light_agree() {
     let object = blob(Vec3::new(0.0, 0.2, 0.0), 0.15, 0.1, 24);
-    check_lights(
-        &stage,
-        &object,
-        &Render { lights: 60, ..Default::default() },
-        Budget::default(),
-        "sun and sky",
-    );
+    let settings = Render { lights: 60, ..Default::default() };
+    check_lights(&outdoors(), &object, &settings, Budget::default(), "sun and sky");
+}
+
+/// Gives ε, if there is an adapter.
+fn check_dome(
+    stage: &Stage,
+    object: &Occluder,
+    settings: &Render,
+    budget: Budget,
+    name: &str,
+) -> Option<RadianceImage> {
+    let settings = Render { method: ShadowMethod::LightDome, backend: Backend::Gpu, ..settings.clone() };
+    let scene = stage.scene();
+    let mut gpu = or_skipped(gpu::LightDome::prepare_within(&scene, &settings, budget))?;
+    let found = check_twin(&mut gpu, object, name);
+    assert_eq!(found.expected_error, None);
+    if budget.texels == Budget::default().texels {
+        let session = shadow::Session::prepare(&scene, &settings).unwrap().frame(object).unwrap();
+        assert_eq!(session.removed, found, "{name}, by a session");
+    }
+    Some(found.epsilon)
+}
+
+#[test]
+fn light_domes_agree() {
+    let room = stage(0.4, 96, 0.8);
+    let objects = [
+        ("blob", &room, blob(Vec3::new(-0.3, 0.4, 0.1), 0.25, 0.2, 20)),
+        ("box on the floor", &room, cuboid(Vec3::new(0.1, 0.12, 0.0), Vec3::new(0.10, 0.12, 0.08))),
+        ("object near a source", &room, blob(Vec3::new(0.05, 2.4, 0.75), 0.14, 0.1, 12)),
+        ("sun and sky", &outdoors(), blob(Vec3::new(0.0, 0.2, 0.0), 0.15, 0.1, 24)),
+    ];
+    for (name, stage, object) in &objects {
+        for (dome_at_infinity, dome_texels) in [(false, 2), (false, 8), (true, 4)] {
+            let settings = Render { dome_at_infinity, dome_texels, shadow_map_px: 128, ..Default::default() };
+            let name = format!("{name}, {dome_texels}² texels, at infinity: {dome_at_infinity}");
+            let found = check_dome(stage, object, &settings, Budget::default(), &name);
+            assert!(found.is_none_or(|e| is_shadowed(&e)), "{name}");
+        }
+    }
+    // One layer of maps at a time; a few tiles of pixels in a block.
+    for budget in [Budget { texels: 1, ..Budget::default() }, Budget { texels: 1, buffer_bytes: 1 << 19 }] {
+        let settings = Render { shadow_map_px: 256, ..Default::default() };
+        check_dome(&room, &objects[0].2, &settings, budget, &format!("{budget:?}"));
+    }
+}
+
+#[test]
+fn a_spoilt_dome_is_noticed() {
+    let stage = stage(0.4, 96, 0.8);
+    let object = blob(Vec3::new(-0.3, 0.4, 0.1), 0.25, 0.2, 20);
+    let of = |settings: Render| {
+        let settings = Render { method: ShadowMethod::LightDome, ..settings };
+        shadow::removed_radiance(&stage.scene(), &object, &settings).unwrap().epsilon
+    };
+    let good = of(Render::default());
+    for (what, spoilt) in [
+        ("a split less", Render { dome_splits: Render::default().dome_splits - 1, ..Default::default() }),
+        ("lights in the middle", Render { dome_centroid: false, ..Default::default() }),
+        ("lights at infinity", Render { dome_at_infinity: true, ..Default::default() }),
+        ("coarser maps", Render { shadow_map_px: 64, ..Default::default() }),
+    ] {
+        let difference = Difference::between(&stage.plate, &good, &of(spoilt));
+        assert!(!difference.agrees(), "{what}: {difference:?}");
+    }
 }
 
 #[test]

@@ -7,7 +7,7 @@ use crate::config::Render;
 use crate::driver::run::{self, Range};
 use crate::driver::validate;
 use crate::error::{Context as _, Result};
-use crate::gpu::{RadianceTransfer, Timing};
+use crate::gpu::{RadianceTransfer, Timing, Twin as _};
 use crate::printer::Printer;
 use crate::shadow::{Caster, Occluder};
 use crate::stage::Workspace;
@@ -75,28 +75,23 @@ fn table(subject: &Subject, frames: usize, printer: &Printer) -> Result<()> {
         "rms"
     ));
     for maps in MAPS {
-        row(&mut method, &caster, maps, frames, printer)?;
+        method.set_passes(maps);
+        row(&mut method, &caster, frames, printer)?;
     }
     drop(method);
-    row(&mut prepare(&subject.settings)?, &caster, subject.settings.passes, frames, printer)
+    row(&mut prepare(&subject.settings)?, &caster, frames, printer)
 }
 
-fn row(
-    method: &mut RadianceTransfer,
-    caster: &Occluder,
-    passes: usize,
-    frames: usize,
-    printer: &Printer,
-) -> Result<()> {
+fn row(method: &mut RadianceTransfer, caster: &Occluder, frames: usize, printer: &Printer) -> Result<()> {
     // The first frame warms caches and compiles pipelines.
-    let (removed, difference) = method.parity(caster, passes).doing("comparing with the CPU")?;
+    let (removed, difference) = method.parity(caster).doing("comparing with the CPU")?;
     let mut timings: Vec<Timing> = Vec::with_capacity(frames);
     for frame in 0..frames {
         // Moved to and fro by millimetres, so that nothing can be kept from the frame before.
         let by = Vec3::new(1e-3 * (1 + frame % 3) as f32, 0.0, 0.0);
         let mut moved = caster.clone();
         moved.vertices.iter_mut().for_each(|v| *v += by);
-        timings.push(method.timed(&moved, passes).doing("drawing a frame")?);
+        timings.push(method.timed(&moved).doing("drawing a frame")?);
     }
     let of =
         |part: fn(&Timing) -> f64| spread(&mut timings.iter().map(|t| 1e3 * part(t)).collect::<Vec<_>>());
@@ -104,7 +99,7 @@ fn row(
     let [plan, upload, maps, fused] =
         [of(|t| t.plan), of(|t| t.phases.upload), of(|t| t.phases.maps), of(|t| t.phases.fused)]
             .map(|s| s[0]);
-    let lookups = method.lookups(caster, passes).doing("counting lookups")? as f64 / (1e-3 * fused);
+    let lookups = method.lookups(caster).doing("counting lookups")? as f64 / (1e-3 * fused);
     let ceiling = method.ceiling().doing("measuring plain lookups")?;
     printer.data(&format!(
         "{:>7}{:>7}{frame:>9.2}{low:>9.2}{high:>9.2}{plan:>9.2}{upload:>9.2}{maps:>9.2}{fused:>9.2}{:>9.3}G{:>7.1} %{:>9.2} %{:>7.3} %",

@@ -1,4 +1,4 @@
-//! Truth, ours and their difference side by side, labelled.
+//! Pictures side by side, labelled: truth, ours and their difference, or any.
 
 use super::truth::Verdict;
 use crate::composite::view;
@@ -44,27 +44,36 @@ pub(super) fn write(
             error_map(&difference(truth, &verdict.composite), most).image,
         ),
     ];
-    let (w, h) = truth.size();
-    let mut sheet = Image::from_fn(3 * w, h + BAND_PX, |_, _| Code([1.0; 3]));
-    for (k, (label, picture)) in pictures.iter().enumerate() {
-        for y in 0..h {
-            for x in 0..w {
-                *sheet.at_mut(k * w + x, y + BAND_PX) = *picture.at(x, y);
+    write_sheet(path, &[pictures.into()])
+}
+
+/// Writes rows of labelled pictures, all of one size, as a JPEG.
+pub(super) fn write_sheet(path: &Path, rows: &[Vec<(String, CodeImage)>]) -> Result<()> {
+    let columns = rows.iter().map(Vec::len).max().unwrap_or(0);
+    let Some((w, h)) = rows.first().and_then(|row| Some(row.first()?.1.size())) else { return Ok(()) };
+    let mut sheet = Image::from_fn(columns * w, rows.len() * (h + BAND_PX), |_, _| Code([1.0; 3]));
+    for (j, row) in rows.iter().enumerate() {
+        let top = j * (h + BAND_PX);
+        for (k, (label, picture)) in row.iter().enumerate() {
+            for (y, x) in (0..h).flat_map(|y| (0..w).map(move |x| (y, x))) {
+                *sheet.at_mut(k * w + x, top + BAND_PX + y) = *picture.at(x, y);
             }
+            // Narrow pictures have small letters.
+            let letter = if 8 * LETTER * label.len() + 8 <= w { LETTER } else { 1 };
+            draw(&mut sheet, label, (k * w + 4, top + (BAND_PX - 8 * letter) / 2), (k + 1) * w, letter);
         }
-        draw(&mut sheet, label, k * w + 4, (BAND_PX - 8 * LETTER) / 2, (k + 1) * w);
     }
     std::fs::write(path, jpeg(&sheet)?).at("writing", path)
 }
 
 /// Draws text from the left upper corner on, as far as `end`.
-fn draw(sheet: &mut CodeImage, text: &str, left: usize, top: usize, end: usize) {
+fn draw(sheet: &mut CodeImage, text: &str, (left, top): (usize, usize), end: usize, scale: usize) {
     for (n, letter) in text.chars().enumerate() {
         let Some(rows) = font8x8::BASIC_FONTS.get(letter) else { continue };
         for (y, row) in rows.iter().enumerate() {
             for x in (0..8).filter(|x| row >> x & 1 == 1) {
-                for (dy, dx) in (0..LETTER).flat_map(|dy| (0..LETTER).map(move |dx| (dy, dx))) {
-                    let (px, py) = (left + (8 * n + x) * LETTER + dx, top + y * LETTER + dy);
+                for (dy, dx) in (0..scale).flat_map(|dy| (0..scale).map(move |dx| (dy, dx))) {
+                    let (px, py) = (left + (8 * n + x) * scale + dx, top + y * scale + dy);
                     if px < end && py < sheet.height() {
                         *sheet.at_mut(px, py) = Code([0.0; 3]);
                     }

@@ -176,21 +176,24 @@ impl DomeMaps {
     }
 
     /// The same of a surface of the object: looked up where it was when the map was drawn, turned with the object, and a texel
-    /// above, so that hollows do not hide themselves.
-    pub fn own_shadow_buffer(&self, surface: &Surface) -> [f32; 3] {
+    /// above, so that hollows do not hide themselves. `hidden` says whether something else hides a light, by its number and
+    /// direction.
+    pub fn own_shadow_buffer(&self, surface: &Surface, hidden: impl Fn(usize, Vec3) -> bool) -> [f32; 3] {
         let lift_m = self.bounds.map_or(0.0, |b| 2.0 * b.radius / self.size.max(1) as f32);
         let from = surface.position + surface.face_normal * lift_m - self.pose.anchor;
         let mut sum = [0.0; 3];
-        for Slot { light, drawn, .. } in &self.slots {
-            let cos = surface.normal.dot(light.source.direction);
-            let Some(map) = drawn.map.as_ref().filter(|_| cos > 0.0) else { continue };
+        for (i, Slot { light, drawn, .. }) in self.slots.iter().enumerate() {
+            let direction = light.source.direction;
+            let cos = surface.normal.dot(direction);
             let turn = drawn.pose.turn * self.pose.turn.inverse();
             let face = turn * surface.face_normal;
             // Where smooth normals differ from the triangle's, its edges would show.
-            if face.dot(drawn.direction) <= 0.0 {
+            if cos <= 0.0 || face.dot(drawn.direction) <= 0.0 {
                 continue;
             }
-            if DistantLookup::new(map, face, Vec3::ZERO).blocked(turn * from + drawn.pose.anchor) {
+            let at = turn * from + drawn.pose.anchor;
+            let own = drawn.map.as_ref().is_some_and(|m| DistantLookup::new(m, face, Vec3::ZERO).blocked(at));
+            if own || hidden(i, direction) {
                 let power = light.power();
                 (0..3).for_each(|k| sum[k] += cos * power[k]);
             }
@@ -311,7 +314,7 @@ mod tests {
         for (place, normal) in [(Vec3::new(0.25, 0.3, 0.0), Vec3::Y), (Vec3::new(-0.2, 0.2, 0.05), Vec3::Z)] {
             let (position, normal) = (turn * place, turn * normal);
             let own = Surface { position, normal, face_normal: normal, ..floor(0.0, 0.0) };
-            assert_eq!(maps.own_shadow_buffer(&own), [0.0; 3], "{place}");
+            assert_eq!(maps.own_shadow_buffer(&own, |_, _| false), [0.0; 3], "{place}");
         }
     }
 

@@ -22,4 +22,5 @@ pub use lights::{Cell, DomeLight, Layout, above, irradiance, lights, strongest};
 pub use maps::{DomeMaps, Pose, bound};
 pub(crate) use object::render_object;
 pub use plate::LightDome;
+pub(crate) use plate::SIDE;
 pub use sphere_map::{Fisheye, Problem, Seen, SphereMap};

@@ -7,17 +7,16 @@ use super::{CubeMap, Layout, lights};
 use crate::config::Render;
 use crate::illuminate::patch::LightModel;
 use crate::render::Environment;
-use crate::shadow::{Bounds, Occluder, Prepared, Problem, Removed, Scene};
-use crate::subtractive::{Casters, Light, Surface, gather};
+use crate::shadow::{Bounds, Occluder, Problem, Removed, Scene};
+use crate::subtractive::{Light, LitPlate};
 use crate::visibility::Bvh;
 use glam::Vec3;
-use rayon::prelude::*;
 use std::collections::BTreeSet;
 
 /// Side of the cube map from which the dome is downsampled, texels.
 const CUBE: usize = 64;
-/// Rays to lights start so far off the model's surfaces, m.
-const OFFSET_M: f32 = 1e-4;
+/// R is found at each pixel.
+pub(crate) const SIDE: usize = 1;
 
 impl Layout {
     /// What the settings ask for.
@@ -49,10 +48,8 @@ pub(super) fn lights_at(model: &LightModel, bvh: &Bvh, place: Vec3, settings: &R
 
 /// The method `light-dome`, prepared for a scene.
 pub struct LightDome<'a> {
-    scene: Scene<'a>,
+    plate: LitPlate<'a>,
     settings: Render,
-    prepared: Prepared,
-    model: Bvh,
     /// Normals of all receivers.
     normals: Vec<Vec3>,
 }
@@ -69,68 +66,35 @@ impl<'a> LightDome<'a> {
                 normals.push(normal);
             }
         }
-        Ok(Self {
-            scene: *scene,
-            settings: settings.clone(),
-            prepared: Prepared::new(scene, settings)?,
-            model: Bvh::new(&mesh.vertices, &mesh.triangles()),
-            normals,
-        })
+        let plate = LitPlate {
+            // Light at infinity is taken to arrive.
+            model_hides: !settings.dome_at_infinity,
+            // Texels are unlike, and every other one is not half of the light.
+            halves_tell: false,
+            ..LitPlate::prepare(scene, settings)?
+        };
+        Ok(Self { plate, settings: settings.clone(), normals })
     }
 
     /// ε of an object.
     pub fn frame(&self, occluder: &Occluder) -> Result<Removed, Problem> {
         occluder.check()?;
+        Ok(self.plate.removed(&self.lights(occluder)?, occluder, SIDE).0)
+    }
+
+    /// Those above the horizon of some receiver.
+    pub(crate) fn lights(&self, occluder: &Occluder) -> Result<Vec<Light>, Problem> {
         let place = Bounds::of(occluder).centre;
-        let mut lights = lights_at(self.scene.light, &self.model, place, &self.settings);
+        let LitPlate { scene, model, .. } = &self.plate;
+        let mut lights = lights_at(scene.light, model, place, &self.settings);
         if lights.is_empty() {
             return Err(Problem::Dark);
         }
-        let above = |l: &Light| self.normals.iter().any(|n| n.dot(l.seen_from(place).0) > 0.0);
-        lights.retain(above);
-        let casters = Casters::draw(&lights, occluder, self.settings.shadow_map_px);
-        let Prepared { pixels, tiles, .. } = &self.prepared;
-        let blocked: Vec<Vec<[f32; 3]>> = tiles
-            .par_iter()
-            .map(|tile| {
-                let near = casters.near(tile.centre, tile.radius);
-                let gone = |p: &_| self.shadow_buffer(p, &lights, &casters, &near);
-                pixels[tile.pixels.clone()].iter().map(gone).collect()
-            })
-            .collect();
-        Ok(Removed {
-            epsilon: self.prepared.epsilon(self.scene.plate, &blocked.concat()),
-            codes: None,
-            noise: None,
-            sources_used: lights.len(),
-            passes: lights.len(),
-            shadow_maps: casters.maps(),
-            expected_error: None,
-            left_out_share: 0.0,
-        })
+        lights.retain(|l| self.normals.iter().any(|n| n.dot(l.seen_from(place).0) > 0.0));
+        Ok(lights)
     }
 
-    /// R of a pixel: irradiance that the object hides and the scene model does not. Light at infinity is taken to arrive.
-    fn shadow_buffer(
-        &self,
-        pixel: &crate::shadow::Pixel,
-        lights: &[Light],
-        casters: &Casters,
-        near: &[usize],
-    ) -> [f32; 3] {
-        let surface = Surface {
-            position: pixel.position,
-            normal: pixel.normal,
-            face_normal: pixel.normal,
-            viewer: pixel.normal,
-            material: 0,
-            pixel_m: pixel.reach(),
-        };
-        let from = pixel.position + pixel.normal * OFFSET_M;
-        let gone = |i: usize, direction: Vec3| {
-            let arrives = || self.settings.dome_at_infinity || !lights[i].hidden_by(&self.model, from);
-            if casters.hide(i, &surface, direction) && arrives() { [1.0; 3] } else { [0.0; 3] }
-        };
-        gather(&surface, None, lights, near.iter().copied(), gone).irradiance
+    pub(crate) fn plate(&self) -> &LitPlate<'a> {
+        &self.plate
     }
 }

@@ -9,7 +9,7 @@ use crate::probe::fisheye::Projection;
 use crate::probe::mirror_ball::reflected_ray;
 use crate::probe::outline;
 use glam::{Mat3, Vec3};
-use nalgebra::{Point2, Point3};
+use nalgebra::{Point2, Point3, Vector3};
 
 /// Parts of a pixel along each side.
 const PARTS: usize = 3;
@@ -110,8 +110,14 @@ pub struct Seen {
 }
 
 impl SphereMap {
-    /// Of a ball as a camera sees it.
-    pub fn of_ball(camera: &Camera, centre: &Point3<f64>, radius_m: f64) -> Result<Self, Problem> {
+    /// Of a ball as a camera sees it. What it shows lies at a distance from it (m; 0: at infinity), for a reflection starts on
+    /// the ball and not in its middle.
+    pub fn of_ball(
+        camera: &Camera,
+        centre: &Point3<f64>,
+        radius_m: f64,
+        distance_m: f64,
+    ) -> Result<Self, Problem> {
         let size = (camera.intrinsics.width_px as usize, camera.intrinsics.height_px as usize);
         let (w, h) = (size.0 as f64, size.1 as f64);
         let outline = outline::project(camera, centre, radius_m, 64).unwrap_or_default();
@@ -132,7 +138,10 @@ impl SphereMap {
             let normal = (ray.origin - centre) / radius_m;
             let cosine = (eye - ray.origin).normalize().dot(&normal).clamp(0.0, 1.0);
             let from_outline = radius_px * (1.0 - (1.0 - cosine * cosine).sqrt());
-            (from_outline > BLIND_PX).then_some(ray.direction.into_inner())
+            let direction = ray.direction.into_inner();
+            let from_middle =
+                if distance_m > 0.0 { (ray.origin - centre) / distance_m } else { Vector3::zeros() };
+            (from_outline > BLIND_PX).then_some((direction + from_middle).normalize())
         };
         Ok(Self::new(size, low, high, |p| show(p).map(|d| Vec3::new(d.x as f32, d.y as f32, d.z as f32))))
     }
@@ -225,7 +234,7 @@ mod tests {
                 None => *picture.at(x, y),
             }
         });
-        let map = SphereMap::of_ball(&camera, &centre, radius).unwrap();
+        let map = SphereMap::of_ball(&camera, &centre, radius, 0.0).unwrap();
         let clipped = Image::from_fn(320, 240, |x, y| no_floor.at(x, y).0[0] > 20.0);
         let seen = map.environment(&no_floor, &clipped, 32);
         let behind = (centre - eye).normalize();
@@ -263,9 +272,9 @@ mod tests {
         let look =
             |at: Point3<f64>| look_at(Intrinsics::pinhole(320, 240, 300.0), Point3::new(0.0, 0.5, 1.0), at);
         let centre = Point3::new(0.0, 0.1, 0.0);
-        let off = SphereMap::of_ball(&look(Point3::new(2.0, 0.0, 0.0)), &centre, 0.1).err();
+        let off = SphereMap::of_ball(&look(Point3::new(2.0, 0.0, 0.0)), &centre, 0.1, 0.0).err();
         assert_eq!(off, Some(Problem::OutOfFrame { outside: 1.0 }));
-        let small = SphereMap::of_ball(&look(centre), &centre, 0.01).err();
+        let small = SphereMap::of_ball(&look(centre), &centre, 0.01, 0.0).err();
         assert!(matches!(small, Some(Problem::Small { .. })), "{small:?}");
     }
 }

@@ -29,7 +29,7 @@ impl Source {
     /// A folder of pictures, a video file, or `camera:N`.
     fn open(path: &Path, base: &Path) -> Result<Self> {
         let device = path.to_str().and_then(|p| p.strip_prefix("camera:"));
-        let path = base.join(path);
+        let path = if device.is_some() { path.to_owned() } else { base.join(path) };
         let refuse = |e: crate::vision::Problem| {
             let hint = crate::error::Problem::hint(&e);
             Error::file(READING, &path, e, hint)

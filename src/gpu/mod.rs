@@ -1,10 +1,12 @@
-//! Shadow methods on the graphics processor (wgpu). The plain Rust of [`crate::shadow`] is the reference.
+//! Shadow methods on the graphics processor (wgpu), each a [`Twin`] of one in plain Rust, which is the reference.
 
 mod atlas;
 mod ceiling;
 mod clock;
 mod device;
 mod layout;
+mod light_dome;
+mod lit_plate;
 mod maps;
 mod occlusion;
 mod parity;
@@ -16,14 +18,17 @@ mod shaders;
 mod subtractive;
 #[cfg(test)]
 mod tests;
+mod twin;
 
 use crate::error;
 pub use clock::Phases;
 pub(crate) use device::Device;
-pub use occlusion::{DrawnTextures, OcclusionTextures};
+pub use light_dome::LightDome;
+pub use occlusion::OcclusionTextures;
 pub use parity::Difference;
-pub use radiance_transfer::{Budget, Drawn, RadianceTransfer, Timing};
-pub use subtractive::{DrawnLights, Subtractive};
+pub use radiance_transfer::{Budget, RadianceTransfer, Timing};
+pub use subtractive::Subtractive;
+pub use twin::Twin;
 
 /// Why the graphics processor gives no result.
 #[derive(Debug, thiserror::Error)]

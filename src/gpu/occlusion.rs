@@ -4,8 +4,9 @@
 use super::device::Buffer;
 use super::layout::Textures;
 use super::receivers::Block;
-use super::{Device, Difference, prefilter::Prefilter, shaders};
+use super::{Device, Twin, prefilter::Prefilter, shaders};
 use crate::config::Render;
+use crate::image::RadianceImage;
 use crate::occlusion::{Cut, Frustum, MOST_SLICES, PlateShadow, Slices};
 use crate::shadow::{Occluder, Problem, Removed, Scene};
 use bytemuck::Zeroable;
@@ -58,12 +59,6 @@ struct Pixels {
     found: wgpu::Buffer,
 }
 
-/// A frame whose ε is on the device.
-pub struct DrawnTextures<'m, 'a> {
-    method: &'m OcclusionTextures<'a>,
-    textures: usize,
-}
-
 impl<'a> OcclusionTextures<'a> {
     /// Uploads everything that does not depend on the object.
     pub fn prepare(scene: &Scene<'a>, settings: &Render) -> Result<Self, Problem> {
@@ -91,38 +86,6 @@ impl<'a> OcclusionTextures<'a> {
         };
         method.device.wait()?;
         Ok(method)
-    }
-
-    /// Name of the adapter, and what it is.
-    pub fn adapter(&self) -> &str {
-        &self.device.adapter
-    }
-
-    /// ε of an object.
-    pub fn removed_radiance(&mut self, occluder: &Occluder) -> Result<Removed, Problem> {
-        self.advance(occluder)?.read()
-    }
-
-    /// Starts a frame; its ε stays on the device until it is read.
-    pub fn advance(&mut self, occluder: &Occluder) -> Result<DrawnTextures<'_, 'a>, Problem> {
-        occluder.check()?;
-        let cuts = self.plain.cuts(occluder);
-        self.object.write(&self.device, &occluder.vertices, &occluder.triangles)?;
-        let mut encoder = self.device.device.create_command_encoder(&Default::default());
-        self.pixels.iter().for_each(|p| p.block.clear(&mut encoder));
-        self.device.queue.submit([encoder.finish()]);
-        for cut in &cuts {
-            self.subtract(cut)?;
-        }
-        Ok(DrawnTextures { method: self, textures: PlateShadow::textures(&cuts) })
-    }
-
-    /// ε, and how far plain Rust lies from it.
-    pub fn parity(&mut self, occluder: &Occluder) -> Result<(Removed, Difference), Problem> {
-        let removed = self.removed_radiance(occluder)?;
-        let plain = self.plain.frame(occluder)?;
-        let difference = Difference::between(self.plain.scene().plate, &plain.epsilon, &removed.epsilon);
-        Ok((removed, difference))
     }
 
     /// Takes from the plate what the object takes of one light.
@@ -182,14 +145,33 @@ impl<'a> OcclusionTextures<'a> {
     }
 }
 
-impl DrawnTextures<'_, '_> {
-    /// Waits for it and reads ε.
-    pub fn read(self) -> Result<Removed, Problem> {
-        let OcclusionTextures { plain, device, pixels, .. } = self.method;
-        let blocks = pixels.iter().map(|p| &p.block);
-        let size = plain.scene().plate.size();
-        let (epsilon, _) = Block::epsilon(blocks, device, plain.prepared(), size)?;
-        Ok(plain.removed(epsilon, self.textures))
+impl Twin for OcclusionTextures<'_> {
+    fn adapter(&self) -> &str {
+        &self.device.adapter
+    }
+
+    fn removed_radiance(&mut self, occluder: &Occluder) -> Result<Removed, Problem> {
+        occluder.check()?;
+        let cuts = self.plain.cuts(occluder);
+        self.object.write(&self.device, &occluder.vertices, &occluder.triangles)?;
+        let mut encoder = self.device.device.create_command_encoder(&Default::default());
+        self.pixels.iter().for_each(|p| p.block.clear(&mut encoder));
+        self.device.queue.submit([encoder.finish()]);
+        for cut in &cuts {
+            self.subtract(cut)?;
+        }
+        let blocks = self.pixels.iter().map(|p| &p.block);
+        let size = self.plate().size();
+        let (epsilon, _) = Block::epsilon(blocks, &self.device, self.plain.prepared(), size)?;
+        Ok(self.plain.removed(epsilon, PlateShadow::textures(&cuts)))
+    }
+
+    fn plain_radiance(&mut self, occluder: &Occluder) -> Result<Removed, Problem> {
+        self.plain.frame(occluder)
+    }
+
+    fn plate(&self) -> &RadianceImage {
+        self.plain.scene().plate
     }
 }
 

@@ -7,8 +7,9 @@ use super::device::Buffer;
 use super::layout::ShadowMap;
 use super::maps::Maps;
 use super::receivers::{Block, WORKGROUP};
-use super::{Device, Difference, Phases, ceiling, shaders};
+use super::{Device, Phases, Twin, ceiling, shaders};
 use crate::config::Render;
+use crate::image::RadianceImage;
 use crate::shadow::{self, MapPlan, OFFSETS, Occluder, Outlook, Plan, Problem, Removed, Scene};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -52,12 +53,6 @@ pub struct RadianceTransfer<'a> {
     transfers: Buffer,
     /// Bindings of maps, rows and transfers; made anew where one of them grows.
     group: wgpu::BindGroup,
-}
-
-/// A frame whose ε is on the device.
-pub struct Drawn<'m, 'a> {
-    method: &'m RadianceTransfer<'a>,
-    plan: Plan,
 }
 
 /// Maps that are drawn and looked up together.
@@ -107,11 +102,6 @@ impl<'a> RadianceTransfer<'a> {
         Ok(Self { plain, device, subtract, blocks, maps, rows, transfers, group })
     }
 
-    /// Name of the adapter, and what it is.
-    pub fn adapter(&self) -> &str {
-        &self.device.adapter
-    }
-
     /// Whether [`Self::timed`] asks the device's own clock.
     pub fn has_timestamps(&self) -> bool {
         self.device.device.features().contains(wgpu::Features::TIMESTAMP_QUERY)
@@ -122,32 +112,33 @@ impl<'a> RadianceTransfer<'a> {
         &self.plain
     }
 
-    /// ε for an object.
-    pub fn removed_radiance(&mut self, occluder: &Occluder) -> Result<Removed, Problem> {
-        occluder.check()?;
-        let outlook = self.plain.outlook(occluder);
-        self.advance(occluder, &outlook, self.plain.passes())?.read()
+    /// Asks for so many passes from now on.
+    pub fn set_passes(&mut self, passes: usize) {
+        self.plain.set_passes(passes);
     }
 
-    /// Starts a frame with so many passes; its ε stays on the device until it is read.
-    pub(crate) fn advance(
+    /// ε with so many passes.
+    pub(crate) fn compose(
         &mut self,
         occluder: &Occluder,
         outlook: &Outlook,
         passes: usize,
-    ) -> Result<Drawn<'_, 'a>, Problem> {
+    ) -> Result<Removed, Problem> {
         let work = self.work(occluder, outlook, passes);
         let plan = self.run(occluder, work, None)?;
-        Ok(Drawn { method: self, plan })
+        let blocks = self.blocks.iter().map(|(block, _)| block);
+        let size = self.plain.plate().size();
+        let (epsilon, _) = Block::epsilon(blocks, &self.device, self.plain.prepared(), size)?;
+        Ok(self.plain.removed(&plan, epsilon))
     }
 
-    /// A frame with so many passes, measured; its ε stays on the device.
-    pub fn timed(&mut self, occluder: &Occluder, passes: usize) -> Result<Timing, Problem> {
+    /// A frame, measured; its ε stays on the device.
+    pub fn timed(&mut self, occluder: &Occluder) -> Result<Timing, Problem> {
         occluder.check()?;
         self.device.wait()?;
         let started = Instant::now();
         let outlook = self.plain.outlook(occluder);
-        let work = self.work(occluder, &outlook, passes);
+        let work = self.work(occluder, &outlook, self.plain.passes());
         let mut clock = Clock::new(&self.device, work.batches.len());
         let plan = started.elapsed().as_secs_f64();
         self.run(occluder, work, Some(&mut clock))?;
@@ -156,11 +147,11 @@ impl<'a> RadianceTransfer<'a> {
         Ok(Timing { frame, plan, phases: clock.read(&self.device)? })
     }
 
-    /// Number of lookups that a frame with so many passes makes.
-    pub fn lookups(&self, occluder: &Occluder, passes: usize) -> Result<u64, Problem> {
+    /// Number of lookups that a frame makes.
+    pub fn lookups(&self, occluder: &Occluder) -> Result<u64, Problem> {
         occluder.check()?;
         let outlook = self.plain.outlook(occluder);
-        let plan = self.plain.plan(&outlook, passes);
+        let plan = self.plain.plan(&outlook, self.plain.passes());
         let lists = self.plain.maps_of_tiles(&plan.maps, outlook.patches());
         let prepared = self.plain.prepared();
         let inside = |map: &MapPlan, pixel: &shadow::Pixel| {
@@ -358,16 +349,6 @@ impl<'a> RadianceTransfer<'a> {
         Ok(maps)
     }
 
-    /// ε with so many passes, and how far plain Rust lies from it.
-    pub fn parity(&mut self, occluder: &Occluder, passes: usize) -> Result<(Removed, Difference), Problem> {
-        occluder.check()?;
-        let outlook = self.plain.outlook(occluder);
-        let removed = self.advance(occluder, &outlook, passes)?.read()?;
-        let plain = self.plain.compose(occluder, &outlook, passes);
-        let difference = Difference::between(self.plain.plate(), &plain.epsilon, &removed.epsilon);
-        Ok((removed, difference))
-    }
-
     /// Takes the device away, as a driver that is reset does.
     #[cfg(test)]
     pub(super) fn lose_device(&self) {
@@ -375,13 +356,23 @@ impl<'a> RadianceTransfer<'a> {
     }
 }
 
-impl Drawn<'_, '_> {
-    /// Waits for it and reads ε.
-    pub fn read(self) -> Result<Removed, Problem> {
-        let RadianceTransfer { plain, device, blocks, .. } = self.method;
-        let blocks = blocks.iter().map(|(block, _)| block);
-        let (epsilon, _) = Block::epsilon(blocks, device, plain.prepared(), plain.plate().size())?;
-        Ok(plain.removed(&self.plan, epsilon))
+impl Twin for RadianceTransfer<'_> {
+    fn adapter(&self) -> &str {
+        &self.device.adapter
+    }
+
+    fn removed_radiance(&mut self, occluder: &Occluder) -> Result<Removed, Problem> {
+        occluder.check()?;
+        let outlook = self.plain.outlook(occluder);
+        self.compose(occluder, &outlook, self.plain.passes())
+    }
+
+    fn plain_radiance(&mut self, occluder: &Occluder) -> Result<Removed, Problem> {
+        self.plain.removed_radiance(occluder)
+    }
+
+    fn plate(&self) -> &RadianceImage {
+        self.plain.plate()
     }
 }
 

@@ -6,7 +6,7 @@ use super::{Device, Problem};
 use crate::visibility::BinaryBvh;
 
 /// Root of a hierarchy without triangles, as rays.wgsl has it.
-const NOTHING: u32 = u32::MAX;
+pub(super) const NOTHING: u32 = u32::MAX;
 /// Most levels that rays.wgsl can walk.
 const DEPTH: u64 = 64;
 

@@ -1,4 +1,4 @@
-use super::{Device, Problem, RadianceTransfer};
+use super::{Device, Problem, RadianceTransfer, Twin};
 use crate::config::{Render, Transfer};
 use crate::error::Problem as _;
 use crate::occlusion::{Frustum, Mask, RectangularLight, Slices};
@@ -67,7 +67,7 @@ fn a_lost_device_is_an_error_and_stays_one() {
         Err(e) => panic!("{e}"),
     };
     let object = Lobby::object([0.3, 0.6], 0.0);
-    assert!(method.timed(&object, 10).unwrap().frame > 0.0);
+    assert!(method.timed(&object).unwrap().frame > 0.0);
     method.removed_radiance(&object).unwrap();
     method.lose_device();
     for _ in 0..2 {
@@ -75,7 +75,7 @@ fn a_lost_device_is_an_error_and_stays_one() {
         assert!(matches!(problem, Problem::Lost { .. }), "{problem:?}");
         assert!(problem.hint().contains("render.backend"));
     }
-    assert!(method.timed(&object, 10).is_err());
+    assert!(method.timed(&object).is_err());
     assert!(method.ceiling().is_err());
     assert!(method.shadow_maps(&object).is_err());
 }

@@ -158,10 +158,10 @@ impl Live {
         let mut clock = Clock::start();
         let mut timing = Timing::default();
         let mut notices = Vec::new();
-        let tracked = self.tracker.follow(&grey(frame))?;
+        let scene = self.linear(frame);
+        let tracked = self.tracker.follow(&grey(frame), &scene.radiance)?;
         notices.extend(self.sighted(tracked.sight));
         timing.pose = clock.lap();
-        let scene = self.linear(frame);
         if let (Some(camera), Sight::Seen(_)) = (&tracked.camera, tracked.sight) {
             self.seen += 1;
             let second = second.map(|s| self.linear(s));
@@ -321,7 +321,7 @@ impl Live {
         removed
     }
 
-    /// The object: I = (d − s) + sp.
+    /// The object: I = (d − s) + sp, with s what the object and real things hide.
     fn render(&self, camera: &Camera, environment: &CubeMap, object: &Object, opacity: f32) -> Layer {
         let coarse = environment.downsampled(environment.side() / COARSE);
         let irradiance = CubeMap::from_fn(IRRADIANCE, |normal| coarse.irradiance(normal));
@@ -329,10 +329,17 @@ impl Live {
             object.materials.iter().map(|m| gloss(environment, m.shininess)).collect();
         let bvh = Bvh::new(&object.vertices, &object.triangles);
         let scene = Scene::new(object, &bvh);
+        // What the ball sees of a real thing is light from that thing, which no other hides by standing there.
+        let place = self.lighting.place();
+        let free = |d: Vec3| !self.phantoms.bvh.any_hit(place, d, 1e-4, f32::INFINITY);
+        let open: Vec<bool> = self.maps.lights().map(|l| free(l.source.direction)).collect();
         let radiance = |samples: &[Sample]| {
             // What is hidden changes little within a pixel.
             let middle = Surface::of_object(&samples[samples.len() / 2], 0.0);
-            let s = self.maps.own_shadow_buffer(&middle);
+            let from = middle.position + middle.face_normal * scene.offset;
+            let hidden =
+                |i: usize, d: Vec3| open[i] && self.phantoms.bvh.any_hit(from, d, 0.0, f32::INFINITY);
+            let s = self.maps.own_shadow_buffer(&middle, hidden);
             let mut sum = [0.0f32; 3];
             for sample in samples {
                 let material = &object.materials[sample.material as usize];

@@ -60,6 +60,7 @@ struct Boost {
 pub struct Lighting {
     view: View,
     ball: (Point3<f64>, f64),
+    distance_m: f64,
     place: Point3<f64>,
     reflectivity: [f32; 3],
     paper: [f32; 3],
@@ -81,7 +82,8 @@ impl Lighting {
         let view = match (settings.setup, &settings.environment, second) {
             (Setup::TwoCameras, Some(environment), Some(size)) => {
                 let camera = fixed(environment, size);
-                let map = SphereMap::of_ball(&camera, &centre, probe.radius_m)?;
+                let distance_m = f64::from(settings.environment_distance_m);
+                let map = SphereMap::of_ball(&camera, &centre, probe.radius_m, distance_m)?;
                 View::Ball { camera, map }
             }
             (Setup::Fisheye, Some(environment), Some(size)) => {
@@ -92,6 +94,7 @@ impl Lighting {
         Ok(Self {
             view,
             ball: (centre, probe.radius_m),
+            distance_m: f64::from(settings.environment_distance_m),
             place: match (settings.setup, &settings.environment) {
                 (Setup::Fisheye, Some(environment)) => place(environment.position_m),
                 _ => centre,
@@ -131,8 +134,8 @@ impl Lighting {
                 (map.environment(&picture.radiance, &picture.clipped, SIDE), None)
             }
             _ => {
-                let (centre, radius) = self.ball;
-                let map = SphereMap::of_ball(camera, &centre, radius)?;
+                let (centre, radius_m) = self.ball;
+                let map = SphereMap::of_ball(camera, &centre, radius_m, self.distance_m)?;
                 (map.environment(&scene.radiance, &scene.clipped, SIDE), Some(from_ball))
             }
         };

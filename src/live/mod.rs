@@ -11,6 +11,7 @@ mod filter;
 mod lighting;
 mod markers;
 mod phantoms;
+mod sides;
 mod tracker;
 
 pub use compose::{Live, Output, Timing};

@@ -1,15 +1,18 @@
 //! The pose of the camera in each frame, and what to do where no marker is seen.
 
+use super::sides::refined;
 use super::{Filter, Layout, Problem};
-use crate::calibrate::{pose, world_from_grid};
+use crate::calibrate::{PosedCamera, pose, world_from_grid};
 use crate::camera::{Camera, Intrinsics};
 use crate::config;
-use crate::image::Image;
-use crate::vision;
-use nalgebra::{Isometry3, Point3};
+use crate::image::{Image, RadianceImage};
+use crate::vision::{self, Marker};
+use nalgebra::{Isometry3, Point2, Point3};
 
 /// Accuracy of a marker's corner, px, where the fit shows no larger one.
 const CORNER_SIGMA_PX: f64 = 0.05;
+/// A marker whose worst corner is so many times as far off as that of most is left out.
+const MOST_OFF: f64 = 2.5;
 /// A pose whose corners are further off than this is none, rms in px.
 const MOST_RMS_PX: f64 = 3.0;
 
@@ -73,22 +76,11 @@ impl Tracker {
         &self.layout
     }
 
-    /// The next frame.
-    pub fn follow(&mut self, grey: &Image<u8>) -> Result<Tracked, Problem> {
-        let seen = vision::markers(grey, &self.dictionary)?;
-        let posed = self.layout.view(&seen).and_then(|view| {
-            let boards = [view];
-            let view = pose::View {
-                intrinsics: &self.intrinsics,
-                boards: &boards,
-                corner_sigma_px: 0.0,
-                edges: None,
-            };
-            let posed = pose::fit(&view).ok()?.posed;
-            let corners = boards[0].board.len();
-            (posed.rms_px < MOST_RMS_PX).then_some((posed, corners))
-        });
-        let Some((posed, corners)) = posed else { return Ok(self.missed()) };
+    /// The next frame, as grey codes and in linear radiance.
+    pub fn follow(&mut self, grey: &Image<u8>, picture: &RadianceImage) -> Result<Tracked, Problem> {
+        let mut seen = vision::markers(grey, &self.dictionary)?;
+        seen.iter_mut().for_each(|m| m.corners = refined(m.corners, picture));
+        let Some((posed, corners)) = self.posed(&seen) else { return Ok(self.missed()) };
         if self.lost > 0 {
             self.filter.reset();
         }
@@ -108,6 +100,36 @@ impl Tracker {
             sight: Sight::Seen(corners / 4),
             opacity: 1.0,
         })
+    }
+
+    /// The pose that markers show, and how many corners they are. Markers that are much further off than most, those partly
+    /// hidden or in a shadow's edge, are left out.
+    fn posed(&self, seen: &[Marker]) -> Option<(PosedCamera, usize)> {
+        let fit = |seen: &[Marker]| {
+            let boards = [self.layout.view(seen)?];
+            let intrinsics = &self.intrinsics;
+            let view = pose::View { intrinsics, boards: &boards, corner_sigma_px: 0.0, edges: None };
+            Some((pose::fit(&view).ok()?.posed, boards[0].board.len()))
+        };
+        let all = fit(seen)?;
+        let off = |marker: &Marker| {
+            let view = self.layout.view(std::slice::from_ref(marker))?;
+            let place = |p: &Point2<f64>| world_from_grid() * Point3::new(p.x, p.y, 0.0);
+            let off = |(p, q): (&Point2<f64>, &Point2<f64>)| {
+                all.0.camera.project(&place(p)).map_or(f64::MAX, |shown| (shown - q).norm())
+            };
+            Some(view.board.iter().zip(&view.pixels).map(off).fold(0.0, f64::max))
+        };
+        let mut off: Vec<(&Marker, f64)> = seen.iter().filter_map(|m| Some((m, off(m)?))).collect();
+        off.sort_by(|a, b| a.1.total_cmp(&b.1));
+        let usual = off[off.len() / 2].1;
+        let kept: Vec<Marker> = off
+            .iter()
+            .filter(|o| o.1 <= MOST_OFF * usual.max(CORNER_SIGMA_PX))
+            .map(|o| o.0.clone())
+            .collect();
+        let (posed, corners) = if kept.len() < off.len() { fit(&kept)? } else { all };
+        (posed.rms_px < MOST_RMS_PX).then_some((posed, corners))
     }
 
     fn missed(&mut self) -> Tracked {

@@ -218,6 +218,10 @@ impl<'a> RadianceTransfer<'a> {
         self.passes
     }
 
+    pub(crate) fn set_passes(&mut self, passes: usize) {
+        self.passes = passes;
+    }
+
     /// Number of receiver vertices.
     pub(crate) fn vertex_count(&self) -> usize {
         self.scene.transfers.receivers.positions.len()

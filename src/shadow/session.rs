@@ -5,28 +5,26 @@ use super::plan::Outlook;
 use super::{Occluder, Problem, RadianceTransfer, Removed, Scene, raytraced};
 use crate::config::{Backend, Render, ShadowMethod};
 use crate::dome::LightDome;
-use crate::gpu;
+use crate::gpu::{self, Twin};
 use crate::occlusion::PlateShadow;
 use crate::subtractive::Subtractive;
 use std::time::Instant;
 
 /// A shadow method, prepared for a scene.
 pub struct Session<'a> {
-    scene: Scene<'a>,
     settings: Render,
     method: Method<'a>,
     pace: Pace,
 }
 
+/// ε of one occluder after the other.
+type Frames<'a> = dyn FnMut(&Occluder) -> Result<Removed, Problem> + 'a;
+
 enum Method<'a> {
-    Raytraced,
     Cpu(Box<RadianceTransfer<'a>>),
     Gpu(Box<gpu::RadianceTransfer<'a>>),
-    Subtractive(Box<Subtractive<'a>>),
-    SubtractiveGpu(Box<gpu::Subtractive<'a>>),
-    Occlusion(Box<PlateShadow<'a>>),
-    OcclusionGpu(Box<gpu::OcclusionTextures<'a>>),
-    Dome(Box<LightDome<'a>>),
+    /// One whose passes are its own affair.
+    Other(Box<Frames<'a>>),
 }
 
 /// A frame of a session.
@@ -42,20 +40,6 @@ impl<'a> Session<'a> {
     /// Prepares the method and back end that the settings name.
     pub fn prepare(scene: &Scene<'a>, settings: &Render) -> Result<Self, Problem> {
         let method = match (settings.method, settings.backend) {
-            (ShadowMethod::Raytraced, _) => Method::Raytraced,
-            (ShadowMethod::Subtractive, Backend::Cpu) => {
-                Method::Subtractive(Box::new(Subtractive::prepare(scene, settings)?))
-            }
-            (ShadowMethod::Subtractive, Backend::Gpu) => {
-                Method::SubtractiveGpu(Box::new(gpu::Subtractive::prepare(scene, settings)?))
-            }
-            (ShadowMethod::OcclusionTextures, Backend::Cpu) => {
-                Method::Occlusion(Box::new(PlateShadow::prepare(scene, settings)?))
-            }
-            (ShadowMethod::OcclusionTextures, Backend::Gpu) => {
-                Method::OcclusionGpu(Box::new(gpu::OcclusionTextures::prepare(scene, settings)?))
-            }
-            (ShadowMethod::LightDome, _) => Method::Dome(Box::new(LightDome::prepare(scene, settings)?)),
             // Codes are subtracted on the CPU alone.
             (ShadowMethod::RadianceTransfer, Backend::Cpu) | (ShadowMethod::RadianceTransferLdr, _) => {
                 Method::Cpu(Box::new(RadianceTransfer::prepare(scene, settings)?))
@@ -63,8 +47,29 @@ impl<'a> Session<'a> {
             (ShadowMethod::RadianceTransfer, Backend::Gpu) => {
                 Method::Gpu(Box::new(gpu::RadianceTransfer::prepare(scene, settings)?))
             }
+            (ShadowMethod::Subtractive, Backend::Cpu) => {
+                let mut method = Subtractive::prepare(scene, settings)?;
+                Method::Other(Box::new(move |occluder| method.frame(occluder)))
+            }
+            (ShadowMethod::Subtractive, Backend::Gpu) => twin(gpu::Subtractive::prepare(scene, settings)?),
+            (ShadowMethod::OcclusionTextures, Backend::Cpu) => {
+                let method = PlateShadow::prepare(scene, settings)?;
+                Method::Other(Box::new(move |occluder| method.frame(occluder)))
+            }
+            (ShadowMethod::OcclusionTextures, Backend::Gpu) => {
+                twin(gpu::OcclusionTextures::prepare(scene, settings)?)
+            }
+            (ShadowMethod::LightDome, Backend::Cpu) => {
+                let method = LightDome::prepare(scene, settings)?;
+                Method::Other(Box::new(move |occluder| method.frame(occluder)))
+            }
+            (ShadowMethod::LightDome, Backend::Gpu) => twin(gpu::LightDome::prepare(scene, settings)?),
+            (ShadowMethod::Raytraced, _) => {
+                let (scene, settings) = (*scene, settings.clone());
+                Method::Other(Box::new(move |occluder| raytraced(&scene, occluder, &settings)))
+            }
         };
-        Ok(Self { scene: *scene, settings: settings.clone(), method, pace: Pace::default() })
+        Ok(Self { settings: settings.clone(), method, pace: Pace::default() })
     }
 
     /// ε for an object, with as many passes as the settings ask for: `passes`, or the fewest that `max_error` allows, or
@@ -73,12 +78,7 @@ impl<'a> Session<'a> {
         let started = Instant::now();
         let Self { settings, pace, .. } = self;
         let removed = match &mut self.method {
-            Method::Raytraced => raytraced(&self.scene, occluder, settings)?,
-            Method::Subtractive(method) => method.frame(occluder)?,
-            Method::SubtractiveGpu(method) => method.removed_radiance(occluder)?,
-            Method::Occlusion(method) => method.frame(occluder)?,
-            Method::OcclusionGpu(method) => method.removed_radiance(occluder)?,
-            Method::Dome(method) => method.frame(occluder)?,
+            Method::Other(frame) => frame(occluder)?,
             Method::Cpu(method) => {
                 occluder.check()?;
                 let outlook = method.outlook(occluder);
@@ -93,13 +93,17 @@ impl<'a> Session<'a> {
                 let outlook = method.plain().outlook(occluder);
                 let passes = passes(settings, pace, method.plain(), &outlook);
                 let planned = started.elapsed().as_secs_f64();
-                let removed = method.advance(occluder, &outlook, passes)?.read()?;
+                let removed = method.compose(occluder, &outlook, passes)?;
                 pace.learn(planned, started.elapsed().as_secs_f64() - planned, removed.passes);
                 removed
             }
         };
         Ok(Frame { removed, seconds: started.elapsed().as_secs_f64() })
     }
+}
+
+fn twin<'a>(mut method: impl Twin + 'a) -> Method<'a> {
+    Method::Other(Box::new(move |occluder| method.removed_radiance(occluder)))
 }
 
 fn passes(settings: &Render, pace: &Pace, method: &RadianceTransfer, outlook: &Outlook) -> usize {

@@ -55,10 +55,7 @@ pub(crate) fn render_object(
     let surfaces =
         visible(&scene, set.camera, set.scene_bvh).map(|s| s.map(|s| Surface::of_object(&s, pixel)));
     let seen = surfaces.pixels().iter().flatten().count();
-    let mut detail = Detail::chosen(settings, pace, seen);
-    let side =
-        std::iter::successors(Some(detail.side), |s| Some(s / 2)).find(|s| seen >= LEAST_SAMPLES * s * s);
-    detail.side = side.unwrap_or(1).max(1);
+    let detail = detail(settings, pace, seen);
     let [low, high] = object.bounds();
     let place = (low + high) / 2.0;
     let lights = lights_at(set.light, set.light_bvh, place, detail.lights, settings);
@@ -112,6 +109,14 @@ pub(crate) fn render_object(
     let rest = before + started.elapsed().as_secs_f64() - found;
     pace.learn(detail, seen, [rest, drawn - before, found - drawn]);
     rendered
+}
+
+/// What the shadow on an object of so many pixels may spend.
+fn detail(settings: &config::Render, pace: &Pace, seen: usize) -> Detail {
+    let detail = Detail::chosen(settings, pace, seen);
+    let mut sides = std::iter::successors(Some(detail.side), |s| Some(s / 2));
+    let side = sides.find(|s| seen >= LEAST_SAMPLES * s * s);
+    Detail { side: side.unwrap_or(1).max(1), ..detail }
 }
 
 /// How a material's gloss is reflected; `None` where it has none. The facets' reflectance at normal incidence is that of the
@@ -229,5 +234,49 @@ impl Lit<'_> {
             if self.reaches(i, surface) { gone.map(|g| 1.0 - g) } else { [0.0; 3] }
         });
         reflected(&self.object.materials[surface.material as usize], self.brdf(surface), &sent)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn slow_frames_lower_the_objects_detail_and_quick_ones_raise_it() {
+        let settings =
+            config::Render { lights: 400, pixels_per_sample: 4, frame_ms: 100.0, ..Default::default() };
+        let (wanted, seen) = (Detail::of(&settings), 100_000);
+        let mut pace = Pace::default();
+        // What a frame takes on a machine on which a light's map and a sample cost so much, s.
+        let frame = |pace: &mut Pace, [map, sample]: [f64; 2]| {
+            let detail = detail(&settings, pace, seen);
+            let lights = detail.lights as f64;
+            let samples = seen as f64 / (detail.side * detail.side) as f64;
+            let seconds = [2e-3, lights * map, lights * samples * sample];
+            pace.learn(detail, seen, seconds);
+            (detail, 1e3 * seconds.iter().sum::<f64>())
+        };
+        let quick = [1e-5, 1e-10];
+        let slow = [4e-4, 4e-8];
+        let settled =
+            |pace: &mut Pace, cost| (0..20).map(|_| frame(pace, cost)).last().unwrap_or((wanted, 0.0));
+        let (first, _) = frame(&mut pace, quick);
+        assert!(
+            first.lights < wanted.lights && first.side > wanted.side,
+            "little is spent while costs are unknown"
+        );
+        assert_eq!(settled(&mut pace, quick).0, wanted);
+        let (detail, ms) = settled(&mut pace, slow);
+        assert!(detail.lights < wanted.lights && detail.side > wanted.side, "{detail:?}");
+        // The other half is the plate's.
+        assert!(ms < 50.1 && ms > 25.0, "{ms} ms of 50 for {detail:?}");
+        assert_eq!(settled(&mut pace, quick).0, wanted);
+    }
+
+    #[test]
+    fn a_small_object_keeps_its_samples() {
+        let settings = config::Render { pixels_per_sample: 1024, ..Default::default() };
+        let side = |seen| detail(&settings, &Pace::default(), seen).side;
+        assert_eq!([side(2_000_000), side(20_000), side(500)], [32, 4, 1]);
     }
 }

@@ -180,3 +180,39 @@ pub fn film_up(tracer: &Tracer, side: usize, seed: u64) -> RadianceImage {
     let size = lens.centre_px.map(|c| (2.0 * c) as usize);
     tracer.picture((size[0], size[1]), side, seed, |x, y| Some((FISHEYE, lens.direction(x, y)?)))
 }
+
+/// How far a frame's shadow lies from the true one: sums of (ours − truth)², truth², ours and truth over places where truth
+/// removes more than 5 % and where neither picture shows the object. `with` is the true frame, `empty` the same without the
+/// object and without noise, `plate` the frame filmed, `ours` what was made of it. Places are 3×3 px: single ones are noise.
+pub fn shadow_sums(
+    with: &RadianceImage,
+    empty: &RadianceImage,
+    plate: &RadianceImage,
+    ours: &RadianceImage,
+) -> [f64; 4] {
+    let (w, h) = with.size();
+    // The object is redder than all else.
+    let red = |p: &RadianceImage, x: usize, y: usize| p.at(x, y).0[0] > 1.6 * p.at(x, y).0[1];
+    let object = |x: usize, y: usize| {
+        (y.saturating_sub(3)..(y + 4).min(h))
+            .flat_map(|y| (x.saturating_sub(3)..(x + 4).min(w)).map(move |x| (x, y)))
+            .any(|(x, y)| red(with, x, y) || red(ours, x, y))
+    };
+    let mut sums = [0.0; 4];
+    for (y, x) in (1..h / 3 - 1).flat_map(|y| (1..w / 3 - 1).map(move |x| (3 * y, 3 * x))) {
+        let mean = |a: &RadianceImage, k: usize| {
+            (0..9).map(|i| f64::from(a.at(x + i % 3, y + i / 3).0[k])).sum::<f64>() / 9.0
+        };
+        let [t, b] = [with, empty].map(|a| (0..3).map(|k| mean(a, k)).sum::<f64>());
+        if t > 0.95 * b || object(x + 1, y + 1) {
+            continue;
+        }
+        for k in 0..3 {
+            let truth = mean(empty, k) - mean(with, k);
+            let found = mean(plate, k) - mean(ours, k);
+            let of = [(found - truth).powi(2), truth * truth, found, truth];
+            sums.iter_mut().zip(of).for_each(|(sum, v)| *sum += v);
+        }
+    }
+    sums
+}

@@ -26,7 +26,7 @@ impl VideoReader {
         let capture = VideoCapture::new_def(number as i32)?;
         match capture.is_opened()? {
             true => Ok(Self(capture)),
-            false => Err(Problem::Video("the camera cannot be opened")),
+            false => Err(Problem::Camera(number)),
         }
     }
 

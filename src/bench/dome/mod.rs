@@ -1,19 +1,21 @@
 //! The experiments of supan2006: time against the number of lights (Table 1) on a film, quality against it (Figure 6) on the
 //! captures named and in a lobby, each plain, with lights at centroids and with bright texels split; the film beside its truth.
 
-use super::Static;
-use super::spread;
+mod film;
+mod quality;
+
+use self::film::{SHOWN, film, series, truth_of, with_lights};
+use self::quality::quality;
 use super::subject::{LobbyTransfers, Subject};
+use super::triptych::write_sheet;
+use super::{Static, spread};
 use crate::composite::write_png;
-use crate::config::{Render, ShadowMethod};
 use crate::driver::live::{Film, session};
 use crate::driver::run::{self, Range};
 use crate::driver::validate;
 use crate::error::{Context as _, Result};
-use crate::exposure::{Photograph, decode};
 use crate::image::{Code, CodeImage, Image};
 use crate::printer::Printer;
-use crate::shadow::Session;
 use crate::stage::Workspace;
 use std::path::{Path, PathBuf};
 
@@ -24,13 +26,7 @@ const TABLE_1: [(usize, usize, &str); 6] =
 const ENLARGED: usize = 2;
 /// Frames timed after the first ones, in which all maps are drawn.
 const FIRST: usize = 2;
-/// Rays a pixel of the reference.
-const REFERENCE: usize = 512;
-/// Texels a face.
-const TEXELS: [usize; 3] = [2, 4, 8];
 const SPLITS: usize = 16;
-/// Frames shown of a film.
-const SHOWN: [usize; 2] = [29, 59];
 
 /// Prints what the settings files are good for: those with markers are films, the others captures.
 pub(super) fn print(
@@ -41,24 +37,31 @@ pub(super) fn print(
 ) -> Result<()> {
     let mut strip: Vec<Vec<CodeImage>> = Vec::new();
     let mut timed = false;
+    let mut sheet: Vec<Vec<(String, CodeImage)>> = Vec::new();
     for file in settings {
         let workspace = Workspace::open(file)?;
         if workspace.pipeline.live.board.is_none() && workspace.pipeline.live.markers.is_empty() {
             run::stages(&workspace, &Range::default(), printer)?;
             let statics = Static::read(&workspace)?;
             let name = validate::name(file);
-            quality(&Subject::capture(name, &statics, &workspace.pipeline.render), frames, printer)?;
+            let subject = Subject::capture(name, &statics, &workspace.pipeline.render);
+            sheet.push(quality(&subject, frames, printer)?);
             continue;
         }
         if !timed {
             times(&workspace, frames, printer)?;
             let lobby = LobbyTransfers::new(2000, 320)?;
             quality(&Subject::lobby(&lobby), frames, printer)?;
+            sheet.splice(0..0, series(&workspace, file, printer)?);
             timed = true;
         }
         strip.push(film(&workspace, &validate::name(file), printer)?);
     }
-    let (Some(folder), Some(first)) = (pictures, strip.first()) else { return Ok(()) };
+    let Some(folder) = pictures else { return Ok(()) };
+    let path = folder.join("dome_lights.jpg");
+    write_sheet(&path, &sheet)?;
+    printer.data(&path.display().to_string());
+    let Some(first) = strip.first() else { return Ok(()) };
     let truth = SHOWN.map(|i| truth_of(&settings[settings.len() - 1], i));
     let mut columns: Vec<Vec<CodeImage>> = Vec::new();
     if let [Some(a), Some(b)] = truth {
@@ -66,21 +69,12 @@ pub(super) fn print(
     }
     columns.extend(strip.iter().cloned());
     let (w, h) = first[0].size();
-    let sheet =
+    let strip =
         Image::from_fn(columns.len() * w, SHOWN.len() * h, |x, y| *columns[x / w][y / h].at(x % w, y % h));
     let path = folder.join("dome.png");
-    write_png(&path, &sheet)?;
+    write_png(&path, &strip)?;
     printer.data(&path.display().to_string());
     Ok(())
-}
-
-/// A frame with the object in it, where the film has it.
-fn truth_of(settings: &Path, frame: usize) -> Option<CodeImage> {
-    let path = settings.parent()?.join(format!("truth/{frame:04}.jpg"));
-    match decode(&path).ok()? {
-        Photograph::Codes(codes) => Some(codes),
-        Photograph::Linear(_) => None,
-    }
 }
 
 /// Table 1.
@@ -102,14 +96,9 @@ fn times(workspace: &Workspace, frames: usize, printer: &Printer) -> Result<()> 
     ));
     let mut none = 0.0;
     for (count, texels, paper) in TABLE_1 {
-        let mut pipeline = workspace.pipeline.clone();
-        pipeline.live.focal_px *= ENLARGED as f64;
-        pipeline.live.most_lights = Some(count);
-        pipeline.live.maps_per_frame = 1;
-        let splits = if count > 192 { SPLITS } else { 0 };
-        pipeline.render =
-            Render { dome_texels: texels, dome_splits: splits, dome_centroid: true, ..pipeline.render };
-        let workspace = Workspace { pipeline, ..workspace.clone() };
+        let mut workspace = with_lights(workspace, count, texels);
+        workspace.pipeline.live.focal_px *= ENLARGED as f64;
+        workspace.pipeline.live.maps_per_frame = 1;
         let mut live = session(&workspace, (width, height), None)?;
         let (mut parts, mut lights) = ([(); 6].map(|()| Vec::new()), 0);
         for (i, frame) in shown.iter().enumerate() {
@@ -143,77 +132,4 @@ fn enlarged(frame: &CodeImage) -> CodeImage {
     Image::from_fn(ENLARGED * frame.width(), ENLARGED * frame.height(), |x, y| {
         Code(linear.bilinear(at(x), at(y)).0)
     })
-}
-
-/// Figure 6, in numbers.
-fn quality(subject: &Subject, frames: usize, printer: &Printer) -> Result<()> {
-    let reference = subject.traced(REFERENCE, subject.settings.seed ^ 0x5eed)?;
-    printer.data(&format!(
-        "\n{}: relative shadow error and energy bias against {REFERENCE} rays a pixel (noise {:.3}); ms, medians of {frames} frames",
-        subject.name,
-        reference.noise.unwrap_or(0.0)
-    ));
-    printer.data(&format!(
-        "{:<10}{:<22}{:>8}{:>9}{:>9}{:>9}{:>10}{:>9}{:>9}{:>9}",
-        "a face", "lights", "number", "ms", "error", "bias %", "infinity:", "ms", "error", "bias %"
-    ));
-    for texels in TEXELS {
-        for (name, centroid, splits) in [
-            ("in the middle (paper)", false, 0),
-            ("at centroids", true, 0),
-            ("and brightest split", true, SPLITS),
-        ] {
-            let mut cells = String::new();
-            for dome_at_infinity in [false, true] {
-                let settings = Render {
-                    method: ShadowMethod::LightDome,
-                    dome_texels: texels,
-                    dome_centroid: centroid,
-                    dome_splits: splits,
-                    dome_at_infinity,
-                    ..subject.settings.clone()
-                };
-                let mut session =
-                    Session::prepare(&subject.scene, &settings).doing("preparing the shadow method")?;
-                let mut frame = || session.frame(&subject.occluder).doing("finding the shadow");
-                let removed = frame()?.removed;
-                let mut ms = (0..frames).map(|_| Ok(1e3 * frame()?.seconds)).collect::<Result<Vec<_>>>()?;
-                let (error, bias) = subject.errors(&removed.epsilon, &reference.epsilon);
-                if dome_at_infinity {
-                    cells += &format!("{:>10}", "");
-                } else {
-                    cells += &format!("{:>8}", removed.sources_used);
-                }
-                cells += &format!("{:>9.1}{error:>9.3}{:>+9.1}", spread(&mut ms)[0], 100.0 * bias);
-            }
-            printer.data(&format!("{:<10}{name:<22}{cells}", format!("{texels}×{texels}")));
-        }
-    }
-    Ok(())
-}
-
-/// Runs a film through; gives the frames shown.
-fn film(workspace: &Workspace, name: &str, printer: &Printer) -> Result<Vec<CodeImage>> {
-    let mut film = Film::open(workspace)?;
-    let (mut live, mut shown, mut ms, mut lights) = (None, Vec::new(), Vec::new(), 0);
-    let mut count = 0;
-    while let Some((frame, other)) = film.next()? {
-        if live.is_none() {
-            live = Some(session(workspace, frame.size(), other.as_ref().map(CodeImage::size))?);
-        }
-        let Some(live) = &mut live else { continue };
-        let output = live.frame(&frame, other.as_ref()).doing("putting the object into the film")?;
-        let t = output.timing;
-        ms.push(t.pose + t.light + t.maps + t.shadow + t.object);
-        lights = lights.max(output.lights);
-        if SHOWN.contains(&count) {
-            shown.push(output.picture);
-        }
-        count += 1;
-    }
-    printer.data(&format!(
-        "\n{name}: {count} frames, up to {lights} lights, {:.1} ms a frame",
-        if ms.is_empty() { 0.0 } else { spread(&mut ms)[0] }
-    ));
-    Ok(shown)
 }
