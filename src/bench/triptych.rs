@@ -51,6 +51,9 @@ pub(super) fn write(
 pub(super) fn write_sheet(path: &Path, rows: &[Vec<(String, CodeImage)>]) -> Result<()> {
     let columns = rows.iter().map(Vec::len).max().unwrap_or(0);
     let Some((w, h)) = rows.first().and_then(|row| Some(row.first()?.1.size())) else { return Ok(()) };
+    // Narrow pictures have small letters.
+    let longest = rows.iter().flatten().map(|(label, _)| label.len()).max().unwrap_or(0);
+    let letter = if 8 * LETTER * longest + 8 <= w { LETTER } else { 1 };
     let mut sheet = Image::from_fn(columns * w, rows.len() * (h + BAND_PX), |_, _| Code([1.0; 3]));
     for (j, row) in rows.iter().enumerate() {
         let top = j * (h + BAND_PX);
@@ -58,8 +61,6 @@ pub(super) fn write_sheet(path: &Path, rows: &[Vec<(String, CodeImage)>]) -> Res
             for (y, x) in (0..h).flat_map(|y| (0..w).map(move |x| (y, x))) {
                 *sheet.at_mut(k * w + x, top + BAND_PX + y) = *picture.at(x, y);
             }
-            // Narrow pictures have small letters.
-            let letter = if 8 * LETTER * label.len() + 8 <= w { LETTER } else { 1 };
             draw(&mut sheet, label, (k * w + 4, top + (BAND_PX - 8 * letter) / 2), (k + 1) * w, letter);
         }
     }
