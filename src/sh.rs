@@ -74,7 +74,7 @@ pub fn convolved(coefficients: &Coefficients) -> Coefficients {
 }
 
 /// Normals at which irradiance is looked at for what is below zero.
-const NORMALS: usize = 200;
+const NORMALS: usize = 400;
 /// Halvings of the strength of a window.
 const HALVINGS: usize = 12;
 /// No window is stronger than this.

@@ -41,9 +41,12 @@ fn a_mixed_folder_is_sorted_by_content() {
     assert_eq!(with_role("probe"), named("probe_"));
     assert_eq!(with_role("plate_with_grid"), named("grid_with_probe"));
     assert_eq!(with_role("grid"), named("calib_"));
-    // The plate is one more bracket: which of the two of one exposure is the plate, nothing tells.
+    // The brightest bracket is white all over, and no date says what it was taken with. The plate is one more bracket: which
+    // of the two of one exposure is the plate, nothing tells.
+    let brackets: Vec<&str> =
+        named("brackets_").into_iter().filter(|n| !n.starts_with("brackets_06")).collect();
     let mut place = with_role("brackets");
     place.extend(with_role("plate"));
     place.sort_unstable();
-    assert_eq!(place, [named("brackets_"), named("plate_")].concat());
+    assert_eq!(place, [brackets, named("plate_")].concat());
 }

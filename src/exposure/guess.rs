@@ -30,7 +30,7 @@ pub fn look(path: &Path, header: Header, grid: &config::Calibrate) -> Result<See
 
 /// Roles by views: a view with several exposures is a series. Of two series the one that shows the grid is the probe's,
 /// or else the later one; of one alone with a photograph beside it of an exposure that it has already, too: that one is the
-/// empty scene. What else shows the grid from the plate's place has it with the plate, single views have the grid alone.
+/// empty scene. What else shows the grid from the plate's place has it with the plate, all others have the grid alone.
 pub fn guess(photographs: &BTreeMap<String, Seen>) -> BTreeMap<Role, Vec<String>> {
     let files = of_one_size(photographs);
     let mut scenes: Vec<Scene> =
@@ -59,8 +59,10 @@ pub fn guess(photographs: &BTreeMap<String, Seen>) -> BTreeMap<Role, Vec<String>
     if let Some(probe) = series.get(1) {
         roles.insert(Role::Probe, names(&probe.series));
     }
-    let others = singles.iter().skip(usize::from(series.is_empty()));
-    let grids: Vec<File> = others.flat_map(|s| &s.beside).filter(|f| f.1.grid).copied().collect();
+    // A view of the grid may resemble the probe's.
+    let others = series.iter().skip(1).chain(singles.iter().skip(usize::from(series.is_empty())));
+    let mut grids: Vec<File> = others.flat_map(|s| &s.beside).filter(|f| f.1.grid).copied().collect();
+    grids.sort_by_cached_key(|(name, _)| by_number(name));
     roles.insert(Role::Grid, names(&grids));
     roles.retain(|_, files| !files.is_empty());
     roles

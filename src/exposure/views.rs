@@ -82,7 +82,7 @@ fn off_the_curve(mut pairs: Vec<(f32, f32)>) -> f64 {
 }
 
 /// Groups photographs of one size by view, each group in the given order. What is too dark or too bright to show anything
-/// goes with the nearest exposure among those taken right before or after it.
+/// goes with the nearest exposure among those taken right before or after it, where dates tell.
 pub(super) fn views(photographs: &[(&Header, &Thumbnail)]) -> Vec<Vec<usize>> {
     let n = photographs.len();
     let mut group: Vec<usize> = (0..n).collect();
@@ -100,7 +100,8 @@ pub(super) fn views(photographs: &[(&Header, &Thumbnail)]) -> Vec<Vec<usize>> {
     by_time.sort_by(|a, b| photographs[*a].0.date.cmp(&photographs[*b].0.date).then(a.cmp(b)));
     let least = COMMON * (CELLS[0] * CELLS[1]) as f64;
     for (k, i) in by_time.iter().copied().enumerate() {
-        if photographs[i].1.held() as f64 >= least {
+        // Without a date nothing tells what was taken right before and after.
+        if photographs[i].1.held() as f64 >= least || photographs[i].0.date.is_none() {
             continue;
         }
         let stops = |j: usize| {
@@ -161,7 +162,9 @@ mod tests {
             (at(1.0), shoot(1, 1.0)),
         ];
         assert!(all[2].1.held() == 0);
-        let found = views(&all.iter().map(|(h, t)| (h, t)).collect::<Vec<_>>());
-        assert_eq!(found, [vec![0, 1, 2], vec![3]]);
+        let found = |all: &[(Header, Thumbnail)]| views(&all.iter().map(|(h, t)| (h, t)).collect::<Vec<_>>());
+        assert_eq!(found(&all), [vec![0, 1], vec![2], vec![3]]);
+        let dated = all.map(|(h, t)| (Header { date: Some("2008:01:05 10:00:00".into()), ..h }, t));
+        assert_eq!(found(&dated), [vec![0, 1, 2], vec![3]]);
     }
 }
