@@ -52,19 +52,7 @@ pub fn fit(
             UnitQuaternion::from_rotation_matrix(&rotation(&-towards, &up)),
         ),
     };
-    Ok(ProbeFit {
-        source: ProbeSource::Ball,
-        photographs: Vec::new(),
-        camera,
-        centre,
-        radius_m: settings.radius_m,
-        outline_rms_px: 0.0,
-        outline_support: None,
-        mirror_correlation: None,
-        reflectivity_seen: None,
-        centre_sigma_m: [0.0; 3],
-        diameter_px: 2.0 * radius_px,
-    })
+    Ok(ProbeFit::stated(ProbeSource::Ball, camera, centre, settings.radius_m, 2.0 * radius_px))
 }
 
 #[cfg(test)]

@@ -13,6 +13,7 @@ pub mod marked;
 pub mod mirror_ball;
 pub mod outline;
 pub mod placed;
+mod stage;
 #[cfg(test)]
 pub mod synthetic;
 pub mod unwrap;
@@ -28,6 +29,7 @@ use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
 pub use environment::Environment;
+pub use stage::of_capture;
 pub use unwrap::Unwrapped;
 
 /// The reflectivity seen may differ from the one given by this share.
@@ -61,6 +63,29 @@ pub struct ProbeFit {
 }
 
 impl ProbeFit {
+    /// Where nothing was searched: place and camera are as the settings say.
+    fn stated(
+        source: ProbeSource,
+        camera: Camera,
+        centre: Point3<f64>,
+        radius_m: f64,
+        diameter_px: f64,
+    ) -> Self {
+        Self {
+            source,
+            photographs: Vec::new(),
+            camera,
+            centre,
+            radius_m,
+            outline_rms_px: 0.0,
+            outline_support: None,
+            mirror_correlation: None,
+            reflectivity_seen: None,
+            centre_sigma_m: [0.0; 3],
+            diameter_px,
+        }
+    }
+
     /// Angular standard deviation, per axis, with which the unwrapped ball shows a point in a direction, rad: of a pixel
     /// (variance 1/12 px²) and of bilinear interpolation (1/6 px²), through the mirror's slope 2 / (R cos θ).
     pub fn blur(&self, direction: Vec3) -> f64 {

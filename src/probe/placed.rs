@@ -14,20 +14,9 @@ use nalgebra::Point3;
 /// Where lens or map stood, and how finely an environment of so many texels shows it.
 fn placed(source: ProbeSource, plate: &Camera, settings: &config::Probe) -> (ProbeFit, Vec3) {
     let centre = world_from_grid() * Point3::from(settings.position_m);
-    let fit = ProbeFit {
-        source,
-        photographs: Vec::new(),
-        camera: plate.clone(),
-        centre,
-        radius_m: settings.radius_m,
-        outline_rms_px: 0.0,
-        outline_support: None,
-        mirror_correlation: None,
-        reflectivity_seen: None,
-        centre_sigma_m: [0.0; 3],
-        // The blur is 2 / d, a texel's 2π / (w √12).
-        diameter_px: settings.width_px as f64 * 12f64.sqrt() / std::f64::consts::PI,
-    };
+    // The blur is 2 / d, a texel's 2π / (w √12).
+    let diameter_px = settings.width_px as f64 * 12f64.sqrt() / std::f64::consts::PI;
+    let fit = ProbeFit::stated(source, plate.clone(), centre, settings.radius_m, diameter_px);
     (fit, Vec3::new(centre.x as f32, centre.y as f32, centre.z as f32))
 }
 
