@@ -2,21 +2,15 @@
 
 use insitu::artefact::{exr, json};
 use insitu::calibrate::Cameras;
-use insitu::composite::write_png;
-use insitu::config::ShadowMethod;
-use insitu::error::{Context as _, Result};
-use insitu::exposure::{self, Capture, Photograph};
+use insitu::error::Context as _;
 use insitu::illuminate;
-use insitu::image::CodeImage;
 use insitu::irradiance::Volume;
 use insitu::model::{Scene, face};
-use insitu::render::{self, Frame, Frames, Object, Set};
-use insitu::response::Response;
+use insitu::render::stage::{folder, load, report, stored, write_layers};
+use insitu::render::{self, Frames, Set};
 use insitu::shadow::{self, Receivers};
-use insitu::stage::{Context, Input, digest_file};
 use insitu::transfer::{Finish, Transfers};
 use insitu::visibility::Bvh;
-use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 fn main() -> std::process::ExitCode {
@@ -89,78 +83,4 @@ fn main() -> std::process::ExitCode {
         }
         Ok(())
     })
-}
-
-/// More light than this whose shadow is not sought is worth a word, as a share.
-const MOST_LEFT_OUT: f64 = 0.5;
-
-/// Figures and warnings of a frame.
-fn report(ctx: &Context, frame: &Frame) {
-    let Frame { removed, shaded, .. } = frame;
-    ctx.figure("shadow_s", frame.shadow_s);
-    ctx.figure("sources_used", removed.sources_used);
-    ctx.figure("passes", removed.passes);
-    ctx.figure("shadow_maps", removed.shadow_maps);
-    ctx.figure("left_out_share", removed.left_out_share);
-    if removed.left_out_share > MOST_LEFT_OUT {
-        ctx.warn(format!(
-            "the shadow of {:.0} % of the light is left out: render.method = \"radiance-transfer\" takes light of any shape",
-            100.0 * removed.left_out_share
-        ));
-    }
-    if let Some(error) = removed.expected_error {
-        ctx.figure("expected_shadow_error", error);
-    }
-    if let Some(noise) = removed.noise {
-        ctx.figure("shadow_noise", noise);
-    }
-    ctx.figure("shade_s", frame.shade_s);
-    ctx.figure("object_visible_px", shaded.rendered.visible_px);
-    ctx.figure("object_hidden_px", shaded.rendered.hidden_px);
-    frame.warnings.iter().for_each(|w| ctx.warn(w));
-    if shaded.rendered.visible_px == 0.0 {
-        ctx.warn("no pixel shows the object: the scene hides it");
-    }
-}
-
-/// What `composite` puts into the plate.
-fn write_layers(ctx: &Context, suffix: &str, Frame { removed, shaded, .. }: &Frame) -> Result<()> {
-    let file = |name: &str, kind: &str| ctx.output(&format!("{name}{suffix}.{kind}"));
-    exr::write_radiance(&file("removed", "exr"), &removed.epsilon)?;
-    exr::write_radiance(&file("reflected", "exr"), &shaded.reflected)?;
-    if let Some(codes) = &removed.codes {
-        write_png(&file("codes", "png"), codes)?;
-    }
-    exr::write(&file("object", "exr"), &shaded.rendered.layer.to_planes(), exr::Kind::Picture)
-}
-
-/// The folder of an earlier stage, all named files of which are read.
-fn folder(ctx: &Context, stage: &str, files: &[&str]) -> Result<PathBuf> {
-    let paths = files.iter().map(|f| ctx.artefact(stage, f)).collect::<Result<Vec<_>>>()?;
-    Ok(paths.first().and_then(|p| p.parent()).unwrap_or(Path::new("")).to_path_buf())
-}
-
-/// The plate's codes and the response, where the method works in codes and the plate has some.
-fn stored(ctx: &Context) -> Result<Option<(CodeImage, Response)>> {
-    if ctx.pipeline.render.method != ShadowMethod::RadianceTransferLdr {
-        return Ok(None);
-    }
-    let capture: Capture = json::read(&ctx.artefact("ingest", "capture.json")?)?;
-    match exposure::load(ctx, &capture, capture.plate()?)? {
-        Photograph::Codes(codes) => {
-            Ok(Some((codes, json::read(&ctx.artefact("response", "response.json")?)?)))
-        }
-        Photograph::Linear(_) => Ok(None),
-    }
-}
-
-fn load(ctx: &Context) -> Result<Object> {
-    let settings = &ctx.pipeline.render;
-    let object = render::load_object(&ctx.user_file(&settings.object)?, settings)?;
-    for file in &object.files {
-        ctx.depends_on(file, Input::File(digest_file(file)?));
-    }
-    object.warnings.iter().for_each(|w| ctx.warn(w));
-    ctx.figure("object_triangles", object.triangles.len());
-    Ok(object)
 }

@@ -14,6 +14,7 @@ mod prefilter;
 mod reflected;
 mod set;
 mod shade;
+pub mod stage;
 
 pub use cells::Cells;
 pub use environment::Environment;
