@@ -65,7 +65,7 @@ pub const STAGES: &[Stage] = &[
     },
     Stage {
         name: "calibrate",
-        version: 1,
+        version: 2,
         reads: &["ingest"],
         settings: &[],
         about: "find lens and camera poses",

@@ -5,7 +5,7 @@ use insitu::artefact::json;
 use insitu::calibrate::{self, Cameras, Evidence, Problem};
 use insitu::config::Role;
 use insitu::error::{Context as _, Error, Result};
-use insitu::exposure::{self, Capture, Photo, Photograph};
+use insitu::exposure::{self, Capture, Photo};
 use insitu::image::Image;
 use insitu::stage::Context;
 use std::collections::BTreeMap;
@@ -29,7 +29,13 @@ fn main() -> std::process::ExitCode {
         }
         let grids = greys(ctx, &capture, plate, capture.with_role(Role::Grid))?;
         let mut plate_grids = greys(ctx, &capture, plate, capture.with_role(Role::PlateWithGrid))?;
-        let plate_grey = greys(ctx, &capture, plate, std::iter::once(plate))?;
+        // Edges are searched in it where none are marked.
+        let unmarked = lines.is_none_or(|lines| !lines.has_edges());
+        let plate_grey = if unmarked || plate_grids.is_empty() {
+            greys(ctx, &capture, plate, std::iter::once(plate))?
+        } else {
+            Vec::new()
+        };
         if plate_grids.is_empty() {
             // The grid may lie in the plate itself.
             plate_grids.clone_from(&plate_grey);
@@ -84,10 +90,7 @@ fn greys<'a>(
             ctx.warn(format!("{} is not used: it is {w}×{h} px, not of the plate's size", photo.file));
             continue;
         }
-        let grey = match exposure::load(ctx, capture, photo)? {
-            Photograph::Codes(image) => calibrate::grey(&image),
-            Photograph::Linear(image) => calibrate::grey_of_radiance(&image),
-        };
+        let grey = calibrate::grey_of(&exposure::load(ctx, capture, photo)?);
         all.push((photo.file.clone(), grey));
     }
     Ok(all)

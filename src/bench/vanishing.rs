@@ -4,12 +4,11 @@
 use super::spread;
 use crate::calibrate::manhattan;
 use crate::calibrate::vanishing::{self, Edge, RoomEdges, StatedFocal};
-use crate::calibrate::{Problem, grey, grey_of_radiance};
+use crate::calibrate::{Problem, grey_of};
 use crate::config::Role;
 use crate::driver::validate;
 use crate::error::{Context as _, Error, FileContext, Result};
-use crate::exposure::{Photograph, decode};
-use crate::image::Image;
+use crate::exposure::decode;
 use crate::printer::Printer;
 use crate::stage::Workspace;
 use crate::vision;
@@ -148,7 +147,7 @@ fn folder(path: &Path, truth: &Path, printer: &Printer) -> Result<()> {
 
 fn one(folder: &Path, entry: &Entry, all: &mut Errors, printer: &Printer) -> Result<()> {
     let file = folder.join(&entry.image);
-    let picture = picture(&file)?;
+    let picture = grey_of(&decode(&file)?);
     let diagonal = (picture.width() as f64).hypot(picture.height() as f64);
     let centre = entry.centre();
     let known = StatedFocal { focal_px: entry.f_px, relative_sigma: KNOWN };
@@ -226,13 +225,6 @@ fn angles_to(camera_from_room: &Matrix3<f64>, known: &[[f64; 3]; 3]) -> [f64; 3]
     paired.into_iter().min_by(|a, b| sum(a).total_cmp(&sum(b))).unwrap_or_default()
 }
 
-fn picture(file: &Path) -> Result<Image<u8>> {
-    Ok(match decode(file)? {
-        Photograph::Codes(image) => grey(&image),
-        Photograph::Linear(image) => grey_of_radiance(&image),
-    })
-}
-
 /// The focal length of captures' plates, with neither marks nor EXIF, against their truth.
 fn of_captures(paths: &[PathBuf], printer: &Printer) -> Result<()> {
     printer.data(&format!("\n{:<28}{:>16}{:>26}", "plate alone", "true, px", "found"));
@@ -248,7 +240,7 @@ fn of_captures(paths: &[PathBuf], printer: &Printer) -> Result<()> {
         let Some(focal_px) = truth["intrinsics"]["fx"].as_f64() else { continue };
         let photos = workspace.base.join(&workspace.pipeline.ingest.photos);
         for name in workspace.pipeline.ingest.roles.get(&Role::Plate).into_iter().flatten() {
-            let picture = picture(&photos.join(name))?;
+            let picture = grey_of(&decode(&photos.join(name))?);
             let size = [picture.width() as f64, picture.height() as f64];
             let segments = vision::line_segments(&picture).doing("finding line segments")?;
             let centre = Point2::new(size[0] / 2.0, size[1] / 2.0);

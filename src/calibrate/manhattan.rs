@@ -60,8 +60,10 @@ impl Found {
     }
 }
 
-/// A segment relative to the principal point, in units of the image's diagonal.
+/// A segment, as it is and relative to the principal point in units of the image's diagonal.
 struct Judge {
+    /// Its ends, px.
+    edge: Edge,
     middle: Vector2<f64>,
     direction: Vector2<f64>,
     /// Normal of the plane through the segment and a camera of unit focal length.
@@ -78,6 +80,7 @@ impl Judge {
         let length = (q - p).norm();
         let end = SEGMENT_SIGMA_PX / diagonal_px * 2f64.sqrt() / length;
         Self {
+            edge: *edge,
             middle: (p + q) / 2.0,
             direction: (q - p) / length,
             normal: p.push(1.0).cross(&q.push(1.0)),
@@ -115,26 +118,34 @@ pub fn find(
     stated: Option<StatedFocal>,
 ) -> Result<Found, Problem> {
     let long = |[p, q]: &&Edge| (q - p).norm() >= SHORTEST * diagonal_px;
-    let mut segments: Vec<Edge> = segments.iter().filter(long).copied().collect();
-    segments.sort_by(|a, b| (b[1] - b[0]).norm().total_cmp(&(a[1] - a[0]).norm()));
-    let none = |used| Problem::NoRoom { found: segments.len(), used };
-    if segments.len() < 4 {
+    let mut judges: Vec<Judge> =
+        segments.iter().filter(long).map(|s| Judge::new(s, centre, diagonal_px)).collect();
+    judges.sort_by(|a, b| b.weight.total_cmp(&a.weight));
+    let none = |used| Problem::NoRoom { found: judges.len(), used };
+    if judges.len() < 4 {
         return Err(none(0));
     }
-    let judges: Vec<Judge> = segments.iter().map(|s| Judge::new(s, centre, diagonal_px)).collect();
+    // Where each one's share of all lengths ends.
+    let ends: Vec<f64> = judges
+        .iter()
+        .scan(0.0, |sum, judge| {
+            *sum += judge.weight.sqrt();
+            Some(*sum)
+        })
+        .collect();
+    let stated_in_diagonals = stated.map(|s| (s.focal_px / diagonal_px, s.relative_sigma));
     let few = &judges[..judges.len().min(JUDGES)];
     let mut tried: Vec<(f64, Room)> = (0..TRIES)
         .into_par_iter()
         .filter_map(|k| {
             let mut random = SmallRng::seed_from_u64(SEED + k as u64);
-            let room =
-                draw(&judges, stated.map(|s| (s.focal_px / diagonal_px, s.relative_sigma)), &mut random)?;
+            let room = draw(&judges, &ends, stated_in_diagonals, &mut random)?;
             Some((evidence(&room, few), room))
         })
         .collect();
     tried.sort_by(|a, b| b.0.total_cmp(&a.0));
     let judged = |room: Room, of: usize, turns| {
-        let (edges, fit) = refine(room, &segments[..of], centre, diagonal_px, stated, turns)?;
+        let (edges, fit) = refine(room, &judges[..of], centre, diagonal_px, stated, turns)?;
         let scaled = Room { focal_px: fit.room.focal_px / diagonal_px, ..fit.room };
         Some((evidence(&scaled, &judges[..of]), edges, fit))
     };
@@ -143,27 +154,24 @@ pub fn find(
     });
     let best = refined
         .max_by(|a, b| a.0.total_cmp(&b.0))
-        .and_then(|(_, _, fit)| judged(fit.room, segments.len(), TURNS[1]));
+        .and_then(|(_, _, fit)| judged(fit.room, judges.len(), TURNS[1]));
     let (evidence, edges, fit) = best.ok_or_else(|| none(0))?;
     let weights: f64 = judges.iter().map(|j| j.weight).sum();
     let as_many = weights * weights / judges.iter().map(|j| j.weight * j.weight).sum::<f64>();
     if evidence < CHANCE[0] || evidence * as_many < CHANCE[1] {
         return Err(none(edges.along.iter().map(Vec::len).sum()));
     }
-    Ok(Found { edges, fit, segments: segments.len() })
+    Ok(Found { edges, fit, segments: judges.len() })
 }
 
 /// A room from a few segments, long ones more likely: with a focal length two give one direction and a third another; without,
-/// two and two give two directions, which are orthogonal with one focal length. All lengths in units of the diagonal.
-fn draw(judges: &[Judge], stated: Option<(f64, f64)>, random: &mut SmallRng) -> Option<Room> {
-    let total: f64 = judges.iter().map(|j| j.weight.sqrt()).sum();
+/// two and two give two directions, which are orthogonal with one focal length. All lengths in units of the diagonal; `ends`
+/// are the running sums of the segments' lengths.
+fn draw(judges: &[Judge], ends: &[f64], stated: Option<(f64, f64)>, random: &mut SmallRng) -> Option<Room> {
+    let total = *ends.last()?;
     let mut normal = || {
-        let mut left = random.random::<f64>() * total;
-        let chosen = judges.iter().find(|j| {
-            left -= j.weight.sqrt();
-            left <= 0.0
-        });
-        chosen.unwrap_or(&judges[0]).normal
+        let at = random.random::<f64>() * total;
+        judges[ends.partition_point(|end| *end < at).min(judges.len() - 1)].normal
     };
     let (a, b, c, d) = (normal(), normal(), normal(), normal());
     let (first, second) = (a.cross(&b), c.cross(&d));
@@ -209,7 +217,7 @@ fn ordered(axes: [Vector3<f64>; 3]) -> Rotation3<f64> {
 /// fits the segments by these shares, in turn.
 fn refine(
     start: Room,
-    segments: &[Edge],
+    judges: &[Judge],
     centre: Point2<f64>,
     diagonal_px: f64,
     stated: Option<StatedFocal>,
@@ -218,7 +226,7 @@ fn refine(
     let mut room = start;
     let mut last = None;
     for _ in 0..turns {
-        let (edges, along) = agreeing(&room, segments, centre, diagonal_px);
+        let (edges, along) = agreeing(&room, judges, centre, diagonal_px);
         let weighed = Weighed { along, square_sigma: SQUARE_SIGMA, loss: Loss::Squares };
         let fit = weighed.fit(room, centre, stated).ok()?;
         room = fit.room;
@@ -231,20 +239,19 @@ fn refine(
 /// with the square roots of their weights, 1/px.
 fn agreeing(
     room: &Room,
-    segments: &[Edge],
+    judges: &[Judge],
     centre: Point2<f64>,
     diagonal_px: f64,
 ) -> (RoomEdges, [Vec<(Edge, f64)>; 3]) {
     let points = [0, 1, 2].map(|k| room.vanishing_point(k, Point2::origin()));
     let scaled = points.map(|v| Vector3::new(v.x / diagonal_px, v.y / diagonal_px, v.z));
     let (mut edges, mut weighed) = (RoomEdges::default(), <[Vec<(Edge, f64)>; 3]>::default());
-    let judges: Vec<Judge> = segments.iter().map(|s| Judge::new(s, centre, diagonal_px)).collect();
     let mean = judges.iter().map(|j| j.weight).sum::<f64>() / judges.len().max(1) as f64;
-    for (segment, judge) in segments.iter().zip(&judges) {
+    for judge in judges {
         let likelihoods = scaled.map(|v| judge.likelihood(&v));
         let best = (0..3).max_by(|a, b| likelihoods[*a].total_cmp(&likelihoods[*b])).unwrap_or(0);
         let share = PRIOR / 3.0 * likelihoods[best] / judge.evidence(&scaled).exp();
-        let [p, q] = *segment;
+        let [p, q] = judge.edge;
         let (v, middle) = (points[best], nalgebra::center(&p, &q) - centre);
         let turned = (q - p).dot(&(v.xy() - middle * v.z)) < 0.0;
         let edge = if turned { [q, p] } else { [p, q] };

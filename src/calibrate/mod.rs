@@ -21,6 +21,7 @@ pub use solve::{Evidence, Solution, solve};
 use crate::artefact::json::JsonArtefact;
 use crate::camera::{Camera, Intrinsics};
 use crate::config;
+use crate::exposure::Photograph;
 use crate::image::{CodeImage, Image, RadianceImage};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
@@ -130,6 +131,14 @@ pub fn grid_pose(
         return Err(Problem::Reprojection { rms_px: posed.rms_px, limit_px: settings.max_rms_px });
     }
     Ok(posed)
+}
+
+/// Brightness of a photograph, stored or linear, for finding grid and edges.
+pub fn grey_of(photograph: &Photograph) -> Image<u8> {
+    match photograph {
+        Photograph::Codes(image) => grey(image),
+        Photograph::Linear(image) => grey_of_radiance(image),
+    }
 }
 
 /// Brightness of a photograph for finding the grid.
