@@ -84,9 +84,8 @@ const STRONGEST: f32 = 4.0;
 /// Channels that do are windowed by 1 / (1 + λ l²(l+1)²), the least curved of all (Sloan, *Stupid Spherical Harmonics
 /// Tricks*, 2008), with the smallest λ that does; the light in all, l = 0, is kept.
 pub fn windowed(coefficients: &Coefficients) -> Coefficients {
-    static BASES: std::sync::LazyLock<Vec<[f32; COUNT]>> = std::sync::LazyLock::new(|| {
-        (0..NORMALS).map(|i| basis(crate::irradiance::sphere_direction(i, NORMALS))).collect()
-    });
+    static BASES: std::sync::LazyLock<Vec<[f32; COUNT]>> =
+        std::sync::LazyLock::new(|| (0..NORMALS).map(|i| basis(sphere_direction(i, NORMALS))).collect());
     let mut made = *coefficients;
     for k in 0..3 {
         let window = |strength: f32, i: usize| {
@@ -108,6 +107,15 @@ pub fn windowed(coefficients: &Coefficients) -> Coefficients {
         (0..COUNT).for_each(|i| made[i][k] = window(high, i));
     }
     made
+}
+
+/// The `i`-th of `n` directions spread evenly over the sphere (Fibonacci lattice).
+pub(crate) fn sphere_direction(i: usize, n: usize) -> Vec3 {
+    const GOLDEN: f64 = 0.618_033_988_749_894_9;
+    let y = 1.0 - (2.0 * i as f64 + 1.0) / n as f64;
+    let r = (1.0 - y * y).sqrt();
+    let (sin, cos) = (std::f64::consts::TAU * (i as f64 * GOLDEN).fract()).sin_cos();
+    Vec3::new((r * cos) as f32, y as f32, (r * sin) as f32)
 }
 
 /// Degree l of the `i`-th harmonic.

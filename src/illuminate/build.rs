@@ -44,7 +44,7 @@ const REFINEMENTS: usize = 4;
 /// Texels so near to a known emitter may hold its light: a pixel's width and one of resampling.
 const BESIDE: usize = 2;
 /// What sends so many times the light that it gets shines by itself.
-pub(super) const SHINES: f32 = 3.0;
+const SHINES: f32 = 3.0;
 /// Below this share of the sphere, gaps are cracks of the model and not the sky.
 const MIN_OPEN: f64 = 0.005;
 
@@ -145,6 +145,11 @@ pub fn build(
     }
     let primitives = primitives(faces);
     Ok(stage.finish(env, known, settings, &primitives, probe_blur))
+}
+
+/// Whether a patch sends far more light than it gets.
+pub(super) fn shines(radiance: [f32; 3], irradiance: [f32; 3]) -> bool {
+    std::f32::consts::PI * luminance(radiance) > SHINES * luminance(irradiance)
 }
 
 /// For each face the number of the primitive that it belongs to.
@@ -294,7 +299,7 @@ impl Stage {
                 continue;
             }
             sum.0 += area;
-            if std::f32::consts::PI * luminance(patch.radiance) > SHINES * luminance(irradiance[i]) {
+            if shines(patch.radiance, irradiance[i]) {
                 sum.1 += area;
                 (0..3).for_each(|k| sum.2[k] += area * f64::from(patch.radiance[k]));
             }

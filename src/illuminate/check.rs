@@ -4,7 +4,7 @@
 //! reflectance for each face instead, the median of its patches, so that what departs is light that the model has in the wrong
 //! place (a shadow that it lacks, a lamp too faint on one side) or texture, and texture has no mean.
 
-use super::build::{Plate, SHINES};
+use super::build::{Plate, shines};
 use super::patch::{Evidence, LightModel};
 use crate::image::{Image, Radiance, RadianceImage, luminance};
 use crate::probe::Environment;
@@ -107,11 +107,6 @@ struct Weighed {
     /// Area, m², or solid angle, sr.
     weight: f64,
     face: u32,
-}
-
-/// Whether a patch sends far more light than it gets.
-pub(super) fn shines(radiance: [f32; 3], irradiance: [f32; 3]) -> bool {
-    PI * luminance(radiance) > SHINES * luminance(irradiance)
 }
 
 /// log2 of a ratio of luminances.

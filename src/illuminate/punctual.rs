@@ -1,6 +1,6 @@
 //! The strongest light as glTF knows light (KHR_lights_punctual): a spot for each face that shines, a direction for the sun.
 
-use super::check::shines;
+use super::build::shines;
 use super::patch::LightModel;
 use crate::image::luminance;
 use crate::irradiance::Beams;

@@ -340,7 +340,7 @@ fn incident(
     let solid_angle = 4.0 * std::f64::consts::PI / rays as f64;
     let mut behind = 0usize;
     for i in 0..rays {
-        let d = sphere_direction(i, rays);
+        let d = sh::sphere_direction(i, rays);
         if let Some(hit) = bvh.closest(at, d, 0.0, f32::MAX) {
             let patch = hit.triangle as usize;
             if mesh.normal(patch).dot(d) >= 0.0 {
@@ -381,15 +381,6 @@ fn add_patch(sum: &mut sh::Projection, [a, b, c]: [Vec3; 3], radiance: [f32; 3],
             sum.add(seen(middle), radiance, angle(*part));
         }
     }
-}
-
-/// The `i`-th of `n` directions spread evenly over the sphere (Fibonacci lattice).
-pub(crate) fn sphere_direction(i: usize, n: usize) -> Vec3 {
-    const GOLDEN: f64 = 0.618_033_988_749_894_9;
-    let y = 1.0 - (2.0 * i as f64 + 1.0) / n as f64;
-    let r = (1.0 - y * y).sqrt();
-    let (sin, cos) = (std::f64::consts::TAU * (i as f64 * GOLDEN).fract()).sin_cos();
-    Vec3::new((r * cos) as f32, y as f32, (r * sin) as f32)
 }
 
 #[cfg(test)]

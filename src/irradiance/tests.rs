@@ -43,7 +43,7 @@ fn a_uniform_sky_over_black_ground() {
     let n = 4000;
     light.distant = (0..n)
         .map(|i| DistantSource {
-            direction: sphere_direction(i, n),
+            direction: sh::sphere_direction(i, n),
             solid_angle_sr: 4.0 * PI / n as f32,
             radiance: [1.0; 3],
         })
@@ -63,7 +63,7 @@ fn the_sun_is_added_exactly_where_it_shines() {
     let mut light = light(&room::faces(40.0, 1.0, 40.0)[..1], [0.0; 3]);
     let n = 4000;
     let sky = |i| DistantSource {
-        direction: sphere_direction(i, n),
+        direction: sh::sphere_direction(i, n),
         solid_angle_sr: 4.0 * PI / n as f32,
         radiance: [1.0; 3],
     };

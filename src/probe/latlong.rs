@@ -21,6 +21,23 @@ pub fn pixel(direction: Vec3, width: usize, height: usize) -> (f32, f32) {
     ((PI - longitude) / TAU * width as f32, (PI / 2.0 - latitude) / PI * height as f32)
 }
 
+/// The four texels around a unit direction, by their places in the map, with their bilinear weights; around the seam, not over the
+/// poles.
+pub fn neighbours(direction: Vec3, width: usize, height: usize) -> [(usize, f32); 4] {
+    let (x, y) = pixel(direction, width, height);
+    let (fx, fy) = (x - 0.5, (y - 0.5).clamp(0.0, (height - 1) as f32));
+    let (ax, ay) = (fx - fx.floor(), fy - fy.floor());
+    let column = |k: i64| (fx.floor() as i64 + k).rem_euclid(width as i64) as usize;
+    let row = |k: usize| (fy as usize + k).min(height - 1);
+    let at = |i: i64, j: usize| row(j) * width + column(i);
+    [
+        (at(0, 0), (1.0 - ax) * (1.0 - ay)),
+        (at(1, 0), ax * (1.0 - ay)),
+        (at(0, 1), (1.0 - ax) * ay),
+        (at(1, 1), ax * ay),
+    ]
+}
+
 /// The map turned about its vertical: column `x` shows what column `x + columns` showed. Rows stay what they are, no light is lost.
 pub fn turned(map: &RadianceImage, columns: f64) -> RadianceImage {
     let (w, h) = map.size();
@@ -58,6 +75,15 @@ mod tests {
     }
 
     proptest! {
+        #[test]
+        fn neighbours_share_a_direction(x in 0.0..64.0f32, y in 0.5..31.5f32) {
+            let found = neighbours(direction(x, y, 64, 32), 64, 32);
+            prop_assert!((found.iter().map(|n| n.1).sum::<f32>() - 1.0).abs() < 1e-5);
+            let towards = |i: usize| direction((i % 64) as f32 + 0.5, (i / 64) as f32 + 0.5, 64, 32);
+            let mean: Vec3 = found.iter().map(|(i, weight)| towards(*i) * *weight).sum();
+            prop_assert!(mean.angle_between(direction(x, y, 64, 32)) < 0.02, "{x}, {y}");
+        }
+
         #[test]
         fn pixel_inverts_direction(x in 0.01..255.9f32, y in 0.5..127.5f32) {
             let (px, py) = pixel(direction(x, y, 256, 128), 256, 128);

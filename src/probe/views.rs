@@ -157,19 +157,8 @@ impl<'a> Logarithms<'a> {
 
     fn at(&self, d: Vec3) -> Option<f32> {
         let (w, h) = self.environment.size();
-        let (x, y) = super::latlong::pixel(d, w, h);
-        let (fx, fy) = (x - 0.5, (y - 0.5).clamp(0.0, (h - 1) as f32));
-        let (ax, ay) = (fx - fx.floor(), fy - fy.floor());
-        let column = |k: i64| (fx.floor() as i64 + k).rem_euclid(w as i64) as usize;
-        let row = |k: usize| (fy as usize + k).min(h - 1);
         let mut sum = 0.0;
-        for (dx, dy, weight) in [
-            (0, 0, (1.0 - ax) * (1.0 - ay)),
-            (1, 0, ax * (1.0 - ay)),
-            (0, 1, (1.0 - ax) * ay),
-            (1, 1, ax * ay),
-        ] {
-            let i = row(dy) * w + column(dx);
+        for (i, weight) in super::latlong::neighbours(d, w, h) {
             if self.environment.weight[i] < SURE {
                 return None;
             }

@@ -82,16 +82,11 @@ impl Prefiltered {
     /// The mean about a unit axis: bilinear, around the seam.
     pub fn radiance(&self, axis: Vec3) -> [f32; 3] {
         let (w, h) = self.map.size();
-        let (x, y) = latlong::pixel(axis, w, h);
-        let (fx, fy) = (x - 0.5, (y - 0.5).clamp(0.0, (h - 1) as f32));
-        let (ax, ay) = (fx - fx.floor(), fy - fy.floor());
-        let column = |k: i64| (fx.floor() as i64 + k).rem_euclid(w as i64) as usize;
-        let row = |k: usize| (fy as usize + k).min(h - 1);
-        let at = |i: i64, j: usize| self.map.at(column(i), row(j)).0;
-        let (a, b, c, d) = (at(0, 0), at(1, 0), at(0, 1), at(1, 1));
-        std::array::from_fn(|k| {
-            (a[k] * (1.0 - ax) + b[k] * ax) * (1.0 - ay) + (c[k] * (1.0 - ax) + d[k] * ax) * ay
-        })
+        let mut sum = [0.0; 3];
+        for (i, weight) in latlong::neighbours(axis, w, h) {
+            (0..3).for_each(|k| sum[k] += weight * self.map.pixels()[i].0[k]);
+        }
+        sum
     }
 }
 

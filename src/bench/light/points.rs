@@ -3,7 +3,7 @@
 use super::Judged;
 use crate::error::{Context as _, Result};
 use crate::image::luminance;
-use crate::irradiance::{Beams, sphere_direction};
+use crate::irradiance::Beams;
 use crate::render;
 use crate::sh;
 use glam::Vec3;
@@ -34,7 +34,7 @@ pub(super) fn judge(judged: &Judged) -> Result<Errors> {
         let irradiance = sh::convolved(&all);
         let (mut d, mut s) = (0.0, 0.0);
         for i in 0..NORMALS {
-            let normal = sphere_direction(i, NORMALS);
+            let normal = sh::sphere_direction(i, NORMALS);
             let (ours, truth) = (sh::evaluate(&irradiance, normal), point.on(normal));
             for k in 0..3 {
                 let (a, b) = (f64::from(ours[k]), f64::from(truth[k]));
