@@ -419,63 +419,51 @@ fn light_domes_agree() {
     }
 }
 
-#[test]
-fn a_spoilt_dome_is_noticed() {
-    let stage = stage(0.4, 96, 0.8);
+/// A method's ε in the default settings differs from that in spoilt ones, patches of the room so large, m.
+fn check_noticed(edge: f32, method: ShadowMethod, spoilt: &[(&str, Render)]) {
+    let stage = stage(edge, 96, 0.8);
     let object = blob(Vec3::new(-0.3, 0.4, 0.1), 0.25, 0.2, 20);
-    let of = |settings: Render| {
-        let settings = Render { method: ShadowMethod::LightDome, ..settings };
+    let of = |settings: &Render| {
+        let settings = Render { method, ..settings.clone() };
         shadow::removed_radiance(&stage.scene(), &object, &settings).unwrap().epsilon
     };
-    let good = of(Render::default());
-    for (what, spoilt) in [
+    let good = of(&Render::default());
+    for (what, spoilt) in spoilt {
+        let difference = Difference::between(&stage.plate, &good, &of(spoilt));
+        assert!(!difference.agrees(), "{what}: {difference:?}");
+    }
+}
+
+#[test]
+fn a_spoilt_dome_is_noticed() {
+    let spoilt = [
         ("a split less", Render { dome_splits: Render::default().dome_splits - 1, ..Default::default() }),
         ("lights in the middle", Render { dome_centroid: false, ..Default::default() }),
         ("lights at infinity", Render { dome_at_infinity: true, ..Default::default() }),
         ("coarser maps", Render { shadow_map_px: 64, ..Default::default() }),
-    ] {
-        let difference = Difference::between(&stage.plate, &good, &of(spoilt));
-        assert!(!difference.agrees(), "{what}: {difference:?}");
-    }
+    ];
+    check_noticed(0.4, ShadowMethod::LightDome, &spoilt);
 }
 
 #[test]
 fn a_spoilt_shadow_buffer_is_noticed() {
-    let stage = stage(0.4, 96, 0.8);
-    let object = blob(Vec3::new(-0.3, 0.4, 0.1), 0.25, 0.2, 20);
-    let of = |settings: Render| {
-        let settings = Render { method: ShadowMethod::Subtractive, ..settings };
-        shadow::removed_radiance(&stage.scene(), &object, &settings).unwrap().epsilon
-    };
-    let good = of(Render::default());
-    for (what, spoilt) in [
+    let spoilt = [
         ("a light less", Render { lights: 199, ..Default::default() }),
         ("coarser samples", Render { pixels_per_sample: 16, ..Default::default() }),
         ("coarser maps", Render { shadow_map_px: 64, ..Default::default() }),
-    ] {
-        let difference = Difference::between(&stage.plate, &good, &of(spoilt));
-        assert!(!difference.agrees(), "{what}: {difference:?}");
-    }
+    ];
+    check_noticed(0.4, ShadowMethod::Subtractive, &spoilt);
 }
 
 #[test]
 fn a_spoilt_occlusion_texture_is_noticed() {
-    let stage = stage(0.2, 96, 0.8);
-    let object = blob(Vec3::new(-0.3, 0.4, 0.1), 0.25, 0.2, 20);
-    let of = |settings: Render| {
-        let settings = Render { method: ShadowMethod::OcclusionTextures, ..settings };
-        shadow::removed_radiance(&stage.scene(), &object, &settings).unwrap().epsilon
-    };
-    let good = of(Render::default());
-    for (what, spoilt) in [
+    let spoilt = [
         ("another filter", Render { occlusion_filter: OcclusionFilter::NBuffers, ..Default::default() }),
         ("another rule", Render { combination: Combination::Sum, ..Default::default() }),
         ("a slice less", Render { slices: 15, ..Default::default() }),
         ("coarser texels", Render { occlusion_px: 256, ..Default::default() }),
-    ] {
-        let difference = Difference::between(&stage.plate, &good, &of(spoilt));
-        assert!(!difference.agrees(), "{what}: {difference:?}");
-    }
+    ];
+    check_noticed(0.2, ShadowMethod::OcclusionTextures, &spoilt);
 }
 
 #[test]

@@ -52,18 +52,7 @@ fn fewer_samples_cost_little_of_a_soft_shadow() {
 
 #[test]
 fn no_more_is_removed_than_was_there_and_nothing_far_from_the_object() {
-    let stage = stage(0.4, 64, 1.0);
-    let lid = cuboid(Vec3::new(0.0, 0.05, 0.0), Vec3::new(1.99, 0.002, 1.99));
-    let removed = removed_radiance(&stage.scene(), &lid, &settings()).unwrap();
-    for (b, e) in stage.plate.pixels().iter().zip(removed.epsilon.pixels()) {
-        assert!((0..3).all(|c| e.0[c] >= 0.0 && e.0[c] <= b.0[c]), "{e:?} of {b:?}");
-    }
-    // A crumb under the ceiling.
-    let crumb = cuboid(Vec3::new(1.5, 2.5, -1.5), Vec3::splat(0.005));
-    let removed = removed_radiance(&stage.scene(), &crumb, &settings()).unwrap();
-    let gone: f32 = removed.epsilon.pixels().iter().map(|e| e.luminance()).sum();
-    let there: f32 = stage.plate.pixels().iter().map(|p| p.luminance()).sum();
-    assert!(gone < 1e-3 * there, "{gone} of {there}");
+    room::removes_no_more_than_was_there(&settings());
 }
 
 /// A floor under sun and sky.

@@ -6,7 +6,7 @@ use insitu::camera::Camera;
 use insitu::config;
 use insitu::illuminate::patch::{LightModel, PatchMesh};
 use insitu::image::{Image, Radiance, RadianceImage, luminance};
-use insitu::shadow::{Occluder, Receivers, Scene};
+use insitu::shadow::{Occluder, Receivers, Scene, removed_radiance};
 use insitu::transfer::{Transfers, solve};
 
 #[allow(unused_imports)] // each test program uses its part
@@ -87,4 +87,19 @@ pub fn errors(plate: &RadianceImage, found: &RadianceImage, reference: &Radiance
         }
     }
     ((difference / signal).sqrt(), sum / sum_reference - 1.0)
+}
+
+/// A lid over the whole floor takes no more light than there was, a crumb under the ceiling next to none.
+pub fn removes_no_more_than_was_there(settings: &config::Render) {
+    let stage = stage(0.4, 64, 1.0);
+    let lid = cuboid(Vec3::new(0.0, 0.05, 0.0), Vec3::new(1.99, 0.002, 1.99));
+    let removed = removed_radiance(&stage.scene(), &lid, settings).unwrap();
+    for (b, e) in stage.plate.pixels().iter().zip(removed.epsilon.pixels()) {
+        assert!((0..3).all(|c| e.0[c] >= 0.0 && e.0[c] <= b.0[c]), "{e:?} of {b:?}");
+    }
+    let crumb = cuboid(Vec3::new(1.5, 2.5, -1.5), Vec3::splat(0.005));
+    let removed = removed_radiance(&stage.scene(), &crumb, settings).unwrap();
+    let gone: f32 = removed.epsilon.pixels().iter().map(|e| e.luminance()).sum();
+    let there: f32 = stage.plate.pixels().iter().map(|p| p.luminance()).sum();
+    assert!(gone < 1e-3 * there, "{gone} of {there}");
 }
