@@ -2,6 +2,10 @@
 //! signs of Ramamoorthi and Hanrahan, *An efficient representation for irradiance environment maps*, 2001, eq. 3.
 //! The polar axis is the world's z.
 
+mod unshadowed;
+
+pub use unshadowed::UnshadowedIrradiance;
+
 use glam::Vec3;
 use std::f64::consts::PI;
 

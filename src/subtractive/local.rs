@@ -4,12 +4,12 @@
 use super::ggx::GgxLobe;
 use super::{Brdf, Light, RadianceCache};
 use crate::render::{Environment, Lobe};
-use crate::sh;
+use crate::sh::UnshadowedIrradiance;
 use glam::Vec3;
 
 /// The light that an environment without occluders sends by way of one material.
 pub struct Unshadowed {
-    harmonics: sh::Coefficients,
+    harmonics: UnshadowedIrradiance,
     gloss: Gloss,
 }
 
@@ -45,7 +45,7 @@ impl Unshadowed {
 
     /// Irradiance on a surface of unit normal.
     pub fn irradiance(&self, normal: Vec3) -> [f32; 3] {
-        sh::irradiance(&self.harmonics, normal)
+        self.harmonics.at(normal)
     }
 
     /// Radiance of the gloss (reflectance 1) towards the viewer, 0 for a matt material.
@@ -62,9 +62,9 @@ impl Unshadowed {
     }
 }
 
-fn harmonics(environment: &Environment) -> sh::Coefficients {
+fn harmonics(environment: &Environment) -> UnshadowedIrradiance {
     let texels = environment.map.pixels().iter().enumerate();
-    sh::project(texels.map(|(i, radiance)| {
+    UnshadowedIrradiance::new(texels.map(|(i, radiance)| {
         let (direction, solid_angle) = environment.texel(i);
         (direction, radiance.0, f64::from(solid_angle))
     }))
