@@ -1,7 +1,10 @@
 //! Non-linear least squares: argmin's trust region on the Gauss–Newton model of the cost ½‖r(x)‖², with scaled
 //! parameters, an optional robust loss, and a verdict on what the data determine.
 
+mod descent;
 mod trust_region;
+
+pub use descent::{NormalEquations, descend};
 
 use argmin::core::Executor;
 use argmin::solver::trustregion::TrustRegion;
@@ -29,6 +32,14 @@ pub trait Residuals {
             columns.push((up - down) / (2.0 * h));
         }
         Some(DMatrix::from_columns(&columns))
+    }
+
+    /// The normal equations at `x`; from the whole Jacobian unless the model knows which residuals each parameter moves.
+    fn normal_equations(&self, x: &DVector<f64>) -> Option<NormalEquations> {
+        let mut equations = NormalEquations::zero(x.len());
+        let columns: Vec<usize> = (0..x.len()).collect();
+        equations.add(&self.residuals(x)?, &self.jacobian(x)?, &columns);
+        Some(equations)
     }
 }
 
@@ -101,11 +112,11 @@ pub enum Problem {
         /// Length of the next Gauss–Newton step in standard deviations.
         step: f64,
     },
-    /// A direction in parameter space does not change the residuals.
-    #[error("{parameter} is not determined by the data (condition number {condition:.1e})")]
+    /// Directions in parameter space do not change the residuals.
+    #[error("the data do not determine {} (condition number {condition:.1e})", listed(parameters))]
     Undetermined {
-        /// The parameter that takes the largest part in that direction.
-        parameter: String,
+        /// The parameters that take part in such a direction, those with the largest part first.
+        parameters: Vec<String>,
         /// Condition number of the scaled Jacobian.
         condition: f64,
     },
@@ -121,6 +132,20 @@ impl crate::error::Problem for Problem {
         .into()
     }
 }
+
+/// Names of the parameters, the last three of more as their number.
+fn listed(names: &[String]) -> String {
+    const SHOWN: usize = 6;
+    match names {
+        [] => "the parameters".into(),
+        [one] => one.clone(),
+        [all @ .., last] if all.len() < SHOWN => format!("{} and {last}", all.join(", ")),
+        all => format!("{} and {} more", all[..SHOWN].join(", "), all.len() - SHOWN),
+    }
+}
+
+/// A parameter takes part in an undetermined direction from this share of the largest part on.
+const PART: f64 = 0.2;
 
 /// Condition number of the scaled Jacobian from which on a fit is refused. Central differences have a relative error of
 /// some 1e-10, so that anything above 1e7 could be zero.
@@ -186,19 +211,14 @@ fn finish(
     }
     let name = |k: usize| names.get(k).cloned().unwrap_or_else(|| format!("parameter {k}"));
     if residuals.is_empty() {
-        return Err(Problem::Undetermined { parameter: name(0), condition: f64::INFINITY });
+        let parameters = (0..n).map(name).collect();
+        return Err(Problem::Undetermined { parameters, condition: f64::INFINITY });
     }
     let weights = residuals.map(|r| loss.weight(r).sqrt());
     let j = weighted(&model.jacobian(&parameters).filter(finite_matrix).ok_or(Problem::Start)?, &weights);
     let scale = column_scale(&j);
     let js = scaled(&j, &scale);
-    let eigen = SymmetricEigen::new(js.tr_mul(&js));
-    let (weak, smallest) = eigen.eigenvalues.argmin();
-    let condition = (eigen.eigenvalues.max() / smallest.max(0.0)).sqrt();
-    if !condition.is_finite() || condition > MAX_CONDITION {
-        let parameter = name(eigen.eigenvectors.column(weak).icamax());
-        return Err(Problem::Undetermined { parameter, condition });
-    }
+    let (eigen, condition) = determined(&js, MAX_CONDITION, &name)?;
     let freedom = residuals.len() - n.min(residuals.len());
     let squares = residuals.component_mul(&weights).norm_squared();
     let variance = if freedom > 0 { squares / freedom as f64 } else { 1.0 };
@@ -210,6 +230,35 @@ fn finish(
     gain.row_iter_mut().zip(scale.iter()).for_each(|(mut row, s)| row *= *s);
     gain.column_iter_mut().zip(weights.iter()).for_each(|(mut column, w)| column *= *w);
     Ok(Fit { parameters, covariance, gain, residuals, rms, condition })
+}
+
+/// The eigenvalues of JᵀJ for derivatives by parameters (columns), scaled to unit length, and their condition number; above
+/// `most` what the data do not determine is named.
+pub(crate) fn determined(
+    derivatives: &DMatrix<f64>,
+    most: f64,
+    name: &impl Fn(usize) -> String,
+) -> Result<(SymmetricEigen<f64, nalgebra::Dyn>, f64), Problem> {
+    let n = derivatives.ncols();
+    let js = scaled(derivatives, &column_scale(derivatives));
+    let eigen = SymmetricEigen::new(js.tr_mul(&js));
+    let largest = eigen.eigenvalues.max();
+    let condition_of = |l: f64| (largest / l.max(0.0)).sqrt();
+    let condition = condition_of(eigen.eigenvalues.min());
+    if condition.is_finite() && condition <= most {
+        return Ok((eigen, condition));
+    }
+    // Per parameter its part in the null space.
+    let weak = |k: &usize| eigen.eigenvalues[*k].is_nan() || condition_of(eigen.eigenvalues[*k]) > most;
+    let columns: Vec<usize> = (0..n).filter(weak).collect();
+    let part = |k: usize| columns.iter().map(|&c| eigen.eigenvectors[(k, c)].powi(2)).sum::<f64>();
+    let parts: Vec<f64> = (0..n).map(|k| part(k).sqrt()).collect();
+    let largest = parts.iter().copied().fold(0.0, f64::max);
+    let mut taking: Vec<usize> = (0..n).filter(|&k| parts[k] >= PART * largest).collect();
+    // To a tenth, so that rounding does not decide their order.
+    let tenths = |k: usize| (10.0 * parts[k] / largest).round();
+    taking.sort_by(|&a, &b| tenths(b).total_cmp(&tenths(a)));
+    Err(Problem::Undetermined { parameters: taking.into_iter().map(name).collect(), condition })
 }
 
 fn rms(r: &DVector<f64>) -> f64 {
@@ -288,7 +337,7 @@ mod tests {
         let f = |x: &DVector<f64>| Some(DVector::from_vec(vec![x[0] - 1.0, x[2] - 2.0, x[0] + x[2] - 3.0]));
         let names = ["width", "height", "depth"].map(String::from);
         let e = minimise(&f, &names, &[0.0; 3], Loss::Squares).unwrap_err();
-        assert!(matches!(&e, Problem::Undetermined { parameter, .. } if parameter == "height"), "{e}");
+        assert!(matches!(&e, Problem::Undetermined { parameters, .. } if *parameters == ["height"]), "{e}");
     }
 
     #[test]
