@@ -2,8 +2,9 @@
 //! triangles however finely its light is known.
 
 use super::patch::PatchMesh;
+use crate::model::polygon;
 use glam::{DVec2, DVec3, Vec3};
-use spade::{ConstrainedDelaunayTriangulation, Point2, Triangulation};
+use nalgebra::Point2;
 use std::collections::BTreeMap;
 
 /// A vertex this near to the line between its neighbours, as a share of the mesh's size, lies on it.
@@ -38,26 +39,12 @@ impl PatchMesh {
             let p = self.vertices[i as usize].as_dvec3();
             DVec2::new(p.dot(u), p.dot(v))
         };
-        let points: Vec<DVec2> = corners.iter().map(|&i| flat(i)).collect();
+        let points: Vec<Point2<f64>> = corners.iter().map(|&i| Point2::from(flat(i).to_array())).collect();
         let place = |i: u32| corners.binary_search(&i).ok();
         let edges: Vec<[usize; 2]> =
             next.iter().map(|(&a, &b)| Some([place(a)?, place(b)?])).collect::<Option<_>>()?;
-        let mut crossing = false;
-        let sites = points.iter().map(|p| Point2::new(p.x, p.y)).collect();
-        let mesh =
-            ConstrainedDelaunayTriangulation::<Point2<f64>>::try_bulk_load_cdt(sites, edges.clone(), |_| {
-                crossing = true
-            })
-            .ok()?;
-        if crossing || mesh.num_vertices() != points.len() {
-            return None;
-        }
-        let inside = |triangle: &[usize; 3]| {
-            let middle = triangle.iter().map(|&k| points[k]).sum::<DVec2>() / 3.0;
-            edges.iter().filter(|e| passes_above(middle, e.map(|k| points[k]))).count() % 2 == 1
-        };
-        let all = mesh.inner_faces().map(|f| f.vertices().map(|v| v.index()));
-        let kept: Vec<Triangle> = all.filter(inside).map(|t| t.map(|k| corners[k])).collect();
+        let filled = polygon::fill(&points, &edges)?;
+        let kept: Vec<Triangle> = filled.into_iter().map(|t| t.map(|k| corners[k])).collect();
         let area = |triangles: &[Triangle]| -> f64 {
             triangles.iter().map(|t| t.map(flat)).map(|[a, b, c]| (b - a).perp_dot(c - a) / 2.0).sum()
         };
@@ -93,11 +80,6 @@ fn outline(
         }
     }
     Some(next)
-}
-
-/// Whether a ray from a point along +x meets a segment.
-fn passes_above(p: DVec2, [a, b]: [DVec2; 2]) -> bool {
-    (a.y > p.y) != (b.y > p.y) && p.x < a.x + (b.x - a.x) * (p.y - a.y) / (b.y - a.y)
 }
 
 #[cfg(test)]
