@@ -117,9 +117,15 @@ pub enum Kind {
     Ground,
     /// A box seen from outside.
     Box,
+    /// A box cut in two from the lower edge of its front to the upper edge of its back: a ramp, half a roof.
+    Wedge,
+    /// An upright cylinder, in the model a prism of 16 sides of the same section.
+    Cylinder,
+    /// An upright prism over an outline that may have dents.
+    Extrusion,
     /// A rectangle on a face of its parent.
     Quad,
-    /// A convex polygon on a face of its parent.
+    /// A polygon on a face of its parent, which may have dents and holes.
     Polygon,
 }
 
@@ -132,6 +138,28 @@ pub enum Yaw {
     Parent,
     /// To be fitted.
     Free,
+}
+
+/// A horizontal axis of a primitive.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Across {
+    /// Along its width.
+    X,
+    /// Along its depth.
+    Z,
+}
+
+/// A primitive that is another one's mirror image.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Mirror {
+    /// The other one.
+    pub of: String,
+    /// The plane stands upright in the middle of this primitive …
+    pub about: String,
+    /// … across this axis of it.
+    pub across: Across,
 }
 
 /// Height of a primitive over what supports it.
@@ -153,7 +181,8 @@ fn twenty() -> f64 {
     20.0
 }
 
-/// A primitive and its marks.
+/// A primitive and its marks. What the fields say of contact, alignment and equality holds exactly: it is how the primitive is
+/// parametrised; marks are met as well as they can be.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Primitive {
@@ -161,25 +190,45 @@ pub struct Primitive {
     pub name: String,
     /// Shape.
     pub kind: Kind,
-    /// What it stands on or lies on; without it the surface under the grid.
+    /// What it stands on, hangs under, leans against or lies on; without it the surface under the grid.
     #[serde(default)]
     pub parent: Option<String>,
-    /// `top`: on the parent's top (in a room: its floor); `base`: on the same surface as the parent; for quads and
-    /// polygons also a face of the parent.
+    /// `top`: on the parent's top (in a room: its floor); `base`: on the same surface as the parent; `bottom` or `ceiling`: hanging
+    /// under the parent; `left`, `right`, `front`, `back`: a quad or polygon lies on that face, a box or wedge hangs there with its
+    /// back; `slope` of a wedge and `0`, `1`, … of an extrusion carry quads and polygons.
     #[serde(default = "top")]
     pub attach: String,
+    /// A face of the parent against which the upper edge of its back leans (a box) or its own upper edge (a quad).
+    #[serde(default)]
+    pub leans_on: Option<String>,
     /// Height of what a primitive without a parent stands or lies on, over the surface under the grid, m.
     #[serde(default)]
     pub level_m: f64,
     /// Turn about the vertical.
     #[serde(default)]
     pub yaw: Yaw,
-    /// Height over the support.
+    /// It runs parallel to that one instead of to its parent.
+    #[serde(default)]
+    pub parallel_to: Option<String>,
+    /// Known turn besides, counter-clockwise seen from above, degrees.
+    #[serde(default)]
+    pub turn_deg: f64,
+    /// Height over the support, or depth under what it hangs from.
     #[serde(default)]
     pub lift: Lift,
-    /// Width, height, depth of a box or room; width, height of a quad; m. What is above 0 is known, 0 is fitted.
+    /// Width, height, depth of a box, room or wedge; diameter, height of a cylinder; height of an extrusion; width, height of a
+    /// quad; m. What is above 0 is known, 0 is fitted.
     #[serde(default)]
     pub size_m: Vec<f64>,
+    /// It is as large as that one, of the same kind.
+    #[serde(default)]
+    pub same_size: Option<String>,
+    /// It is the mirror image of another one, of the same kind.
+    #[serde(default)]
+    pub mirror: Option<Mirror>,
+    /// Corners around each hole of a polygon.
+    #[serde(default)]
+    pub holes: Vec<Vec<usize>>,
     /// What its faces mirror besides their diffuse reflectance.
     #[serde(default)]
     pub gloss: Option<Gloss>,
@@ -195,12 +244,17 @@ pub struct Primitive {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Mark {
-    /// `-+-`: signs of x, y (up), z of a box's or room's corner; `-+`: of a quad's corner; `0`, `1`, …: of a polygon's.
+    /// `-+-`: signs of x, y (up), z of a corner of a box, room or wedge; `-+`: of a quad's; `0`, `1`, …: of a polygon's; `0-`,
+    /// `0+`, …: of an extrusion's bottom and top. Of a cylinder `top` or `bottom`: a place on that rim, and `left` or `right`: on
+    /// its side as seen. `---/+--`: a place on the line through two corners.
     pub corner: String,
     /// Which photograph.
     pub image: String,
     /// Where, px.
     pub at: [f64; 2],
+    /// Standard deviation of the mark, px; `model.mark_sigma_px` unless given.
+    #[serde(default)]
+    pub sigma_px: Option<f64>,
     /// It was marked in its mirror image on the ball of the probe.
     #[serde(default)]
     pub reflection: bool,

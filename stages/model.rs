@@ -7,7 +7,7 @@ use insitu::camera::Camera;
 use insitu::config::{ProbeSource, Role};
 use insitu::error::Context as _;
 use insitu::exposure::Capture;
-use insitu::model::{self, Views, gltf, sight::Ball};
+use insitu::model::{self, Views, sight::Ball};
 use insitu::probe::ProbeFit;
 use std::collections::BTreeMap;
 
@@ -41,6 +41,6 @@ fn main() -> std::process::ExitCode {
             ctx.figure(&format!("{}_size_sigma_m", primitive.name), &primitive.size_sigma_m);
         }
         json::write(&ctx.output("scene.json"), &scene)?;
-        gltf::write(&ctx.output("scene.glb"), &scene, cameras.plate_camera(), &[])
+        model::export(ctx, &scene, &cameras, &capture.photos, &[])
     })
 }

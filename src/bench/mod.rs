@@ -2,6 +2,7 @@
 //! setting of a shadow method costs against its error, what 8 bits cost, and where the error against a capture's truth
 //! comes from.
 
+mod blender;
 mod breakdown;
 mod cost;
 mod dome;
@@ -12,6 +13,7 @@ mod intensity;
 mod ldr;
 mod light;
 mod methods;
+mod model;
 mod occlusion;
 mod passes;
 mod plot;
@@ -73,6 +75,10 @@ pub enum Table {
     /// Vanishing points, marked and found, against known ones: takes folders of photographs with a `*ground_truth.json`, and
     /// rendered captures.
     Vanishing,
+    /// The scene model: time of a first fit and as a mark is dragged, by primitives; its corners against a capture's truth.
+    Model,
+    /// The scene as Blender opens it against our camera, where Blender is installed.
+    Blender,
     /// Response and merged radiance against the truth, beside OpenCV and pfstools; takes folders of exposures, too.
     Radiometry,
     /// How the response varies with samples, size, exposures and seed, against its own band; takes folders, too.
@@ -101,9 +107,12 @@ pub fn bench(
     let threads = std::thread::available_parallelism().map_or(1, |n| n.get());
     // Folders of photographs have no settings, and some tables need none.
     let others = tables.is_empty()
-        || tables
-            .iter()
-            .any(|t| !matches!(t, Table::Radiometry | Table::Stability | Table::Vanishing | Table::Volume));
+        || tables.iter().any(|t| {
+            !matches!(
+                t,
+                Table::Radiometry | Table::Stability | Table::Vanishing | Table::Volume | Table::Model
+            )
+        });
     let settings = if others { validate::settings_under(paths)? } else { Vec::new() };
     if let Some(folder) = pictures {
         std::fs::create_dir_all(folder).at("making a folder for pictures", folder)?;
@@ -121,6 +130,8 @@ pub fn bench(
             Table::Volume => light::volume::print(printer)?,
             Table::Breakdown => breakdown::print(&settings, printer)?,
             Table::Truth => truth::print(&settings, pictures, printer)?,
+            Table::Blender => blender::print(printer)?,
+            Table::Model => model::print(&validate::settings_under(paths)?, printer)?,
             Table::Methods => methods::print(&settings, frames, printer)?,
             Table::Subtractive => subtractive::print(&settings, environments, pictures, printer)?,
             Table::Radiometry => radiometry::print(paths, printer)?,

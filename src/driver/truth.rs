@@ -11,7 +11,7 @@ use crate::exposure::Capture;
 use crate::illuminate::{build::Known, put_light};
 use crate::image::{Radiance, RadianceImage};
 use crate::merge::Merged;
-use crate::model::{Scene, gltf};
+use crate::model::{self, Scene};
 use crate::printer::Printer;
 use crate::stage::{self, Context, STAGES, State, Workspace};
 use std::collections::BTreeMap;
@@ -141,6 +141,11 @@ impl Source {
 
     fn calibrate(&self, ctx: &Context) -> Result<()> {
         let capture: Capture = json::read(&ctx.artefact("ingest", "capture.json")?)?;
+        json::write(&ctx.output("cameras.json"), &self.cameras(&capture)?)
+    }
+
+    /// The plate's, and those of photographs from beside it.
+    fn cameras(&self, capture: &Capture) -> Result<Cameras> {
         let plate = capture.plate()?.file.clone();
         let beside = capture.with_role(Role::Brackets).chain(capture.with_role(Role::PlateWithGrid));
         let files = std::iter::once(&plate).chain(beside.map(|p| &p.file));
@@ -149,8 +154,7 @@ impl Source {
             .collect::<std::result::Result<_, _>>()
             .doing(self.doing())?;
         let cameras = Cameras::new(plate, posed, Some(0.0));
-        let cameras = cameras.ok_or_else(|| Error::Bug("the plate has no pose".into()))?;
-        json::write(&ctx.output("cameras.json"), &cameras)
+        cameras.ok_or_else(|| Error::Bug("the plate has no pose".into()))
     }
 
     fn probe(&self, ctx: &Context) -> Result<()> {
@@ -166,9 +170,9 @@ impl Source {
 
     fn model(&self, ctx: &Context) -> Result<()> {
         let scene = self.truth.scene().doing(self.doing())?;
-        let (_, plate) = self.plate(ctx)?;
         json::write(&ctx.output("scene.json"), &scene)?;
-        gltf::write(&ctx.output("scene.glb"), &scene, &self.truth.camera(&plate).doing(self.doing())?, &[])
+        let capture: Capture = json::read(&ctx.artefact("ingest", "capture.json")?)?;
+        model::export(ctx, &scene, &self.cameras(&capture)?, &capture.photos, &[])
     }
 
     fn illuminate(&self, ctx: &Context) -> Result<()> {

@@ -6,7 +6,7 @@ use crate::calibrate::Cameras;
 use crate::error::{Context as _, Error, Result};
 use crate::image::{Image, RadianceImage};
 use crate::merge::Merged;
-use crate::model::{Scene, gltf};
+use crate::model::{Scene, export};
 use crate::probe::{Environment, ProbeFit};
 use crate::stage::Context;
 use std::path::Path;
@@ -34,7 +34,7 @@ pub fn put_light(ctx: &Context, known: impl FnOnce(&Scene) -> Result<build::Know
     let name = |face: u32| scene.faces[face as usize].name.clone();
     let lights = punctual::lights(&built.light, &built.irradiance, name);
     ctx.figure("lights", lights.len());
-    gltf::write(&ctx.output("scene.glb"), &scene, cameras.plate_camera(), &lights)?;
+    export(ctx, &scene, &cameras, &ctx.pipeline.ingest.photos, &lights)?;
     for warning in built.warnings() {
         ctx.warn(warning);
     }

@@ -1,4 +1,4 @@
-//! The scene as binary glTF 2.0: a mesh for each primitive and the plate's camera, to open in Blender and others.
+//! The scene as binary glTF 2.0: a mesh for each primitive and the photographs' cameras, to open in Blender and others.
 
 use super::Scene;
 use super::face::triangulate;
@@ -61,9 +61,48 @@ fn punctual(lights: &[Light]) -> (Vec<Value>, Vec<Value>) {
     (lights.iter().enumerate().map(node).collect(), lights.iter().map(definition).collect())
 }
 
-/// Writes `scene.glb`. A camera of glTF looks along −Z with +Y up, ours along +Z with +Y down; it has no distortion and
-/// its principal point is central.
-pub fn write(path: &Path, scene: &Scene, camera: &Camera, lights: &[Light]) -> Result<()> {
+/// A photograph's camera.
+#[derive(Debug, Clone, Copy)]
+pub struct View<'a> {
+    /// Name of its node.
+    pub name: &'a str,
+    /// The camera.
+    pub camera: &'a Camera,
+    /// The photograph, as a path from the folder of the file written.
+    pub picture: Option<&'a str>,
+}
+
+/// Opens the file in Blender as the photographs show it; stands beside `scene.glb`.
+pub const OPEN_IN_BLENDER: &str = include_str!("open_in_blender.py");
+
+/// Node and definition of a camera. One of glTF looks along −Z with +Y up, ours along +Z with +Y down; it has no distortion, its
+/// pixels are square and its principal point is central, so that the rest stands in `extras`.
+fn view((index, view): (usize, &View)) -> (Value, Value) {
+    let i = &view.camera.intrinsics;
+    let flip = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
+    let turn = view.camera.world_from_camera.rotation * flip;
+    let (at, q) = (view.camera.centre(), turn.coords);
+    let mut extras = json!({
+        "size_px": [i.width_px, i.height_px], "focal_px": i.focal_px, "principal_point_px": i.principal_point_px,
+        "distortion": i.distortion, "is_plate": index == 0,
+    });
+    if let Some(picture) = view.picture {
+        extras["picture"] = picture.into();
+    }
+    let node = json!({
+        "name": view.name, "camera": index, "extras": extras,
+        "translation": [at.x, at.y, at.z], "rotation": [q.x, q.y, q.z, q.w],
+    });
+    let perspective = json!({
+        "aspectRatio": f64::from(i.width_px) / f64::from(i.height_px) * i.focal_px[1] / i.focal_px[0],
+        "yfov": 2.0 * (f64::from(i.height_px) / 2.0 / i.focal_px[1]).atan(),
+        "znear": 0.01,
+    });
+    (node, json!({"name": view.name, "type": "perspective", "perspective": perspective}))
+}
+
+/// Writes `scene.glb`; the first view is the plate's.
+pub fn write(path: &Path, scene: &Scene, cameras: &[View], lights: &[Light]) -> Result<()> {
     let mut binary = Vec::new();
     let (mut views, mut accessors, mut meshes, mut nodes) = (vec![], vec![], vec![], vec![]);
     for primitive in &scene.primitives {
@@ -110,27 +149,19 @@ pub fn write(path: &Path, scene: &Scene, camera: &Camera, lights: &[Light]) -> R
         }));
         nodes.push(json!({"name": primitive.name, "mesh": meshes.len() - 1}));
     }
-    let i = &camera.intrinsics;
-    let flip = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
-    let turn = camera.world_from_camera.rotation * flip;
-    let (at, q) = (camera.centre(), turn.coords);
-    nodes.push(json!({
-        "name": "plate", "camera": 0, "translation": [at.x, at.y, at.z], "rotation": [q.x, q.y, q.z, q.w],
-    }));
+    let (posed, lenses): (Vec<_>, Vec<_>) = cameras.iter().enumerate().map(view).unzip();
+    nodes.extend(posed);
     let (places, lights) = punctual(lights);
     nodes.extend(places);
-    let perspective = json!({
-        "aspectRatio": f64::from(i.width_px) / f64::from(i.height_px) * i.focal_px[1] / i.focal_px[0],
-        "yfov": 2.0 * (f64::from(i.height_px) / 2.0 / i.focal_px[1]).atan(),
-        "znear": 0.01,
-    });
     let mut root = json!({
         "asset": {"version": "2.0", "generator": concat!("insitu ", env!("CARGO_PKG_VERSION"))},
         "scene": 0,
         "scenes": [{"nodes": (0..nodes.len()).collect::<Vec<_>>()}],
         "nodes": nodes,
-        "cameras": [{"name": "plate", "type": "perspective", "perspective": perspective}],
     });
+    if !lenses.is_empty() {
+        root["cameras"] = lenses.into();
+    }
     if !lights.is_empty() {
         root["extensionsUsed"] = json!(["KHR_lights_punctual"]);
         root["extensions"] = json!({"KHR_lights_punctual": {"lights": lights}});

@@ -2,17 +2,28 @@
 
 pub mod face;
 pub mod gltf;
-pub mod shape;
+pub mod polygon;
 pub mod sight;
 
+mod export;
+mod faces;
+mod feature;
 mod fit;
+#[cfg(test)]
+mod graph_tests;
+mod guess;
+mod parameters;
+mod placed;
 mod problem;
 #[cfg(test)]
 mod tests;
+mod tree;
 
+pub use export::export;
 pub use face::Face;
-pub use fit::{Views, fit};
+pub use fit::{Fitter, fit};
 pub use problem::Problem;
+pub use tree::Views;
 
 use crate::annotations::Kind;
 use crate::artefact::json::JsonArtefact;

@@ -24,18 +24,36 @@ pub enum Problem {
         /// Phong exponent.
         shininess: f32,
     },
-    /// The parent is not there, or cannot carry anything.
-    #[error("`{name}` has the parent `{parent}`, which {why}")]
-    Parent {
-        /// The child.
+    /// What it refers to is not there, or cannot serve.
+    #[error("`{name}` has the {what} `{other}`, which {why}")]
+    Reference {
+        /// The primitive.
         name: String,
-        /// The parent.
-        parent: String,
+        /// Which field.
+        what: &'static str,
+        /// What it names.
+        other: String,
         /// What is wrong with it.
         why: &'static str,
     },
-    /// Parents in a circle.
-    #[error("`{name}` is, by way of its parents, its own parent")]
+    /// Only some kinds lean.
+    #[error("`{name}` leans, which only boxes and quads can")]
+    Leaning {
+        /// The primitive.
+        name: String,
+    },
+    /// A standard deviation that cannot be.
+    #[error("the mark of corner `{corner}` of `{name}` has the sigma_px {value}")]
+    Sigma {
+        /// The primitive.
+        name: String,
+        /// The corner.
+        corner: String,
+        /// As given, px.
+        value: f64,
+    },
+    /// References in a circle.
+    #[error("`{name}` refers, by way of others, to itself")]
     Cycle {
         /// One of the circle.
         name: String,
@@ -54,7 +72,7 @@ pub enum Problem {
         /// The primitive.
         name: String,
         /// Which extent.
-        what: &'static str,
+        what: String,
         /// Given or fitted, m.
         value: f64,
     },
@@ -129,9 +147,9 @@ pub enum Problem {
         /// Its distance.
         worst_px: f64,
     },
-    /// A polygon with a dent.
-    #[error("the polygon `{name}` is not convex, or its corners are not numbered around it")]
-    NotConvex {
+    /// No polygon.
+    #[error("the outline of `{name}` crosses or touches itself, has no area, or has a hole outside")]
+    Outline {
         /// The primitive.
         name: String,
     },
@@ -146,23 +164,30 @@ impl crate::error::Problem for Problem {
             Self::Empty => "add at least one [[primitive]] to annotations.toml, e.g. a `ground`".into(),
             Self::Gloss { .. } => "give reflectances from 0 to 1 and a shininess from 0 to 1e6".into(),
             Self::Duplicate { .. } => "give each primitive a name of its own".into(),
-            Self::Parent { .. } => "name a room, ground or box as the parent, or leave it out".into(),
+            Self::Reference { what: "parent", .. } => {
+                "name what stands upright (room, ground, box, wedge, cylinder, extrusion) as the parent, or leave it out".into()
+            }
+            Self::Reference { .. } => "name a primitive of the file that can serve, or leave it out".into(),
+            Self::Leaning { .. } => "leave out its leans_on, or make it a box or a quad".into(),
+            Self::Sigma { .. } => "give a standard deviation above 0, or leave it out".into(),
             Self::Cycle { .. } => "let one of them stand on the surface under the grid: leave out its `parent`".into(),
             Self::Attach { .. } => {
-                "boxes stand on `top` or `base`; quads and polygons lie on `top`, `base`, `left`, `right`, `front`, \
-                 `back`, `ceiling`"
+                "things stand on `top` or `base` and hang under `bottom` or a room's `ceiling`; quads and polygons lie on faces, boxes \
+                 hang on `left`, `right`, `front`, `back`; leans_on names one of these four"
                     .into()
             }
             Self::Size { .. } => "check its marks, or give its size_m".into(),
             Self::SizeCount { .. } => "give width, height, depth; 0 for what is to be fitted".into(),
             Self::Corner { .. } => {
-                "corners of boxes are like `-+-` (x, y up, z), of quads `-+`, of polygons `0`, `1`, …".into()
+                "corners of boxes are like `-+-` (x, y up, z), of quads `-+`, of polygons `0`, `1`, …, of extrusions `0-` (below), \
+                 `0+` (above), …, edges `---/+--`; a cylinder has `top`, `bottom`, `left`, `right`"
+                    .into()
             }
             Self::Image { .. } => "mark photographs of the plate's place, or of the probe".into(),
             Self::NoReflection { .. } => "mark it within the ball's outline in a photograph of the probe".into(),
             Self::Behind { .. } => "check that the corner is what was marked, and that its parent is right".into(),
             Self::Contradiction { .. } => "check this mark first; or set `lift` or `yaw` to \"free\"".into(),
-            Self::NotConvex { .. } => "number its corners around it, and cut it into convex polygons".into(),
+            Self::Outline { .. } => "number its corners around it, and name those of each hole in `holes`".into(),
             Self::Fit(e) => e.hint(),
         }
     }

@@ -1,8 +1,10 @@
 //! Marks as sight lines: where a corner should be, how far off it is in pixels.
 
+use super::feature::Feature;
 use crate::camera::{Camera, Ray};
 use crate::probe::mirror_ball;
-use nalgebra::{DVector, Matrix2, Point2, Point3, Vector2, Vector3};
+use nalgebra::{Matrix2, Point2, Point3, Vector2, Vector3};
+use std::f64::consts::TAU;
 
 /// The mirror ball.
 #[derive(Debug, Clone, Copy)]
@@ -33,6 +35,37 @@ pub enum Sight<'a> {
         px_per_rad: Matrix2<f64>,
     },
 }
+
+/// How far a mark is from what it refers to, px.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Miss {
+    /// From a point.
+    Point(Vector2<f64>),
+    /// From a curve, along which it may be anywhere; the sign says on which side.
+    Curve(f64),
+}
+
+impl Miss {
+    /// Its length, px.
+    pub fn length(&self) -> f64 {
+        match self {
+            Self::Point(e) => e.norm(),
+            Self::Curve(d) => d.abs(),
+        }
+    }
+
+    /// Appends what a least-squares fit makes small.
+    pub fn push(&self, to: &mut Vec<f64>) {
+        match self {
+            Self::Point(e) => to.extend([e.x, e.y]),
+            Self::Curve(d) => to.push(*d),
+        }
+    }
+}
+
+/// Places on a rim that are tried, and steps from the best of them.
+const PLACES: usize = 24;
+const STEPS: usize = 6;
 
 /// Step of the finite differences that give the local pixel scale of the ball, px.
 const STEP_PX: f64 = 0.25;
@@ -79,6 +112,68 @@ impl<'a> Sight<'a> {
         }
     }
 
+    /// How far the mark is off a feature; `None` where that is behind the camera, or the camera within the cylinder.
+    pub fn miss(&self, feature: &Feature) -> Option<Miss> {
+        match feature {
+            Feature::Point(point) => self.error(point).map(Miss::Point),
+            Feature::Edge(ends) => self.off_edge(ends).map(Miss::Curve),
+            Feature::Rim { centre, radii } => {
+                self.off_rim(&|a: f64| centre + radii[0] * a.cos() + radii[1] * a.sin()).map(Miss::Curve)
+            }
+            Feature::Side { axis, radii, right } => {
+                let eye = self.ray().origin;
+                let radius = radii[0].norm();
+                let to = eye - axis[0];
+                let (x, z) = (to.dot(&radii[0]) / radius, to.dot(&radii[1]) / radius);
+                // Seen from the eye the tangents stand this far from the direction towards it.
+                let half = (radius / x.hypot(z)).acos();
+                if half.is_nan() {
+                    return None;
+                }
+                let turn = if *right { -half } else { half };
+                let (sin, cos) = (z.atan2(x) + turn).sin_cos();
+                let out = radii[0] * cos + radii[1] * sin;
+                let [a, b] = axis.map(|end| self.error(&(end + out)));
+                let (a, b) = (a?, b?);
+                let along = (b - a).try_normalize(1e-9)?;
+                Some(Miss::Curve(-along.perp(&a)))
+            }
+        }
+    }
+
+    /// Signed distance from a line, px, where the ray passes it.
+    fn off_edge(&self, [a, b]: &[Point3<f64>; 2]) -> Option<f64> {
+        let ray = self.ray();
+        let (d, along, from) = (ray.direction.into_inner(), (b - a).try_normalize(1e-9)?, a - ray.origin);
+        let cos = d.dot(&along);
+        let sine2 = 1.0 - cos * cos;
+        if sine2 < 1e-12 {
+            return None;
+        }
+        let nearest = a + along * ((cos * d.dot(&from) - along.dot(&from)) / sine2);
+        let step = along * (1e-4 * (nearest - ray.origin).norm());
+        let [before, there, after] = [nearest - step, nearest, nearest + step].map(|p| self.error(&p));
+        Some((after? - before?).try_normalize(1e-12)?.perp(&there?))
+    }
+
+    /// Signed distance from a closed curve, px.
+    fn off_rim(&self, curve: &impl Fn(f64) -> Point3<f64>) -> Option<f64> {
+        let at = |a: f64| self.error(&curve(a));
+        let step = TAU / PLACES as f64;
+        let tried: Vec<Vector2<f64>> = (0..PLACES).map(|k| at(step * k as f64)).collect::<Option<_>>()?;
+        let (best, _) =
+            tried.iter().enumerate().min_by(|a, b| a.1.norm_squared().total_cmp(&b.1.norm_squared()))?;
+        let mut angle = step * best as f64;
+        let derivative = |a: f64| -> Option<Vector2<f64>> { Some((at(a + 1e-4)? - at(a - 1e-4)?) / 2e-4) };
+        for _ in 0..STEPS {
+            // Gauss and Newton: where the curve is nearest, the way there stands across it.
+            let (e, d) = (at(angle)?, derivative(angle)?);
+            angle -= (e.dot(&d) / d.norm_squared().max(1e-12)).clamp(-step, step);
+        }
+        let (e, d) = (at(angle)?, derivative(angle)?);
+        Some(d.try_normalize(1e-9)?.perp(&e))
+    }
+
     /// Linear equations that a point on the ray fulfils, `rows · point = right`, weighted so that their error is about
     /// one in pixels for a point at the given distance.
     pub fn equations(&self, distance: f64) -> [(Vector3<f64>, f64); 2] {
@@ -94,7 +189,7 @@ impl<'a> Sight<'a> {
     }
 }
 
-/// Root mean square length of errors that are stored in pairs, px.
-pub fn rms_px(errors: &DVector<f64>) -> f64 {
-    (2.0 * errors.norm_squared() / errors.len().max(1) as f64).sqrt()
+/// Root mean square distance, px.
+pub fn rms_px(misses: &[Miss]) -> f64 {
+    (misses.iter().map(|m| m.length().powi(2)).sum::<f64>() / misses.len().max(1) as f64).sqrt()
 }

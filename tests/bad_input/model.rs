@@ -33,7 +33,7 @@ kind = "floor"
             )],
             "model",
             2,
-            "./annotations.toml:3:8: unknown variant `floor`, expected one of `room`, `ground`, `box`, `quad`, `polygon`",
+            "./annotations.toml:3:8: unknown variant `floor`, expected one of `room`, `ground`, `box`, `wedge`, `cylinder`, `extrusion`, `quad`, `polygon`",
             "did you mean `room`?",
         ),
         case(
@@ -41,7 +41,7 @@ kind = "floor"
             &[Swap("annotations.toml", "reflection = true", "reflected = true")],
             "model",
             2,
-            "./annotations.toml:49:68: unknown field `reflected`, expected one of `corner`, `image`, `at`, `reflection`",
+            "./annotations.toml:49:68: unknown field `reflected`, expected one of `corner`, `image`, `at`, `sigma_px`, `reflection`",
             "did you mean `reflection`?",
         ),
         case(
@@ -50,7 +50,7 @@ kind = "floor"
             "model",
             1,
             "fitting the scene to annotations.toml: `book` has the parent `desktop`, which is not in the file",
-            "name a room, ground or box as the parent, or leave it out",
+            "name what stands upright (room, ground, box, wedge, cylinder, extrusion) as the parent, or leave it out",
         ),
         case(
             "parents in a circle",
@@ -68,7 +68,7 @@ parent = "a"
             )],
             "model",
             1,
-            "fitting the scene to annotations.toml: `a` is, by way of its parents, its own parent",
+            "fitting the scene to annotations.toml: `a` refers, by way of others, to itself",
             "let one of them stand on the surface under the grid: leave out its `parent`",
         ),
         case(
@@ -131,7 +131,7 @@ marks = [{ corner = "---", image = "plate_000.jpg", at = [39.5, 303.5] }]
             )],
             "model",
             1,
-            "fitting the scene to annotations.toml: depth of `box` is not determined by the data (condition number inf)",
+            "fitting the scene to annotations.toml: the data do not determine the height of `box`, the place in x of `box`, the depth of `box`, the place in z of `box` and the width of `box` (condition number #)",
             "add marks that determine it, or give its value",
         ),
         case(
@@ -140,7 +140,7 @@ marks = [{ corner = "---", image = "plate_000.jpg", at = [39.5, 303.5] }]
             "model",
             1,
             "fitting the scene to annotations.toml: `room` has no corner `++`",
-            "corners of boxes are like `-+-` (x, y up, z), of quads `-+`, of polygons `0`, `1`, …",
+            "corners of boxes are like `-+-` (x, y up, z), of quads `-+`, of polygons `0`, `1`, …, of extrusions `0-` (below), `0+` (above), …, edges `---/+--`; a cylinder has `top`, `bottom`, `left`, `right`",
         ),
         case(
             "negative size",
@@ -175,6 +175,65 @@ size_m = [1.0]
             1,
             "fitting the scene to annotations.toml: `box` gives 1 sizes, its kind has 3",
             "give width, height, depth; 0 for what is to be fitted",
+        ),
+        case(
+            "a polygon that crosses itself",
+            &[Write(
+                "annotations.toml",
+                r#"[[primitive]]
+name = "rug"
+kind = "polygon"
+marks = [
+    { corner = "0", image = "plate_000.jpg", at = [200.5, 303.5] },
+    { corner = "1", image = "plate_000.jpg", at = [260.5, 333.5] },
+    { corner = "2", image = "plate_000.jpg", at = [260.5, 303.5] },
+    { corner = "3", image = "plate_000.jpg", at = [200.5, 333.5] },
+]
+"#,
+            )],
+            "model",
+            1,
+            "fitting the scene to annotations.toml: the outline of `rug` crosses or touches itself, has no area, or has a hole outside",
+            "number its corners around it, and name those of each hole in `holes`",
+        ),
+        case(
+            "a cylinder that leans",
+            &[Write(
+                "annotations.toml",
+                r#"[[primitive]]
+name = "room"
+kind = "room"
+[[primitive]]
+name = "pole"
+kind = "cylinder"
+parent = "room"
+leans_on = "back"
+"#,
+            )],
+            "model",
+            1,
+            "fitting the scene to annotations.toml: `pole` leans, which only boxes and quads can",
+            "leave out its leans_on, or make it a box or a quad",
+        ),
+        case(
+            "a mirror image of nothing",
+            &[Swap(
+                "annotations.toml",
+                "name = \"book\"",
+                "name = \"book\"\nmirror = { of = \"page\", about = \"carton\", across = \"x\" }",
+            )],
+            "model",
+            1,
+            "fitting the scene to annotations.toml: `book` has the mirror.of `page`, which is not in the file",
+            "name a primitive of the file that can serve, or leave it out",
+        ),
+        case(
+            "a mark without weight",
+            &[Swap("annotations.toml", "at = [25.5, 233.5]", "at = [25.5, 233.5], sigma_px = -1.0")],
+            "model",
+            1,
+            "fitting the scene to annotations.toml: the mark of corner `-+-` of `carton` has the sigma_px -1",
+            "give a standard deviation above 0, or leave it out",
         ),
     ]);
 }
