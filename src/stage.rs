@@ -53,7 +53,7 @@ pub const STAGES: &[Stage] = &[
         name: "response",
         version: 2,
         reads: &["ingest"],
-        settings: &[],
+        settings: &["calibrate.inner_corners"],
         about: "fit the camera response curve",
     },
     Stage {

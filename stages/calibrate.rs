@@ -62,12 +62,17 @@ fn main() -> std::process::ExitCode {
         ctx.figure("focal_from_lines_sigma_px", alone.map(|e| e.focal_sigma_px()));
         ctx.figure("principal_point_px", intrinsics.principal_point_px);
         ctx.figure("distortion", intrinsics.distortion);
+        ctx.figure("lens_condition", found.lens.as_ref().map(|l| l.fit.condition));
         ctx.figure("lens_rms_px", found.lens.as_ref().map(|l| l.fit.rms_px));
         ctx.figure("lens_parts_dropped", found.lens.as_ref().map(|l| l.dropped.join(", ")));
         ctx.figure("rms_px", found.plate.rms_px);
         ctx.figure("lines_rms_px", found.edge_rms_px);
-        ctx.figure("plate_position_sigma_m", found.plate.position_sigma_m);
-        ctx.figure("plate_rotation_sigma_deg", found.plate.rotation_sigma_rad.map(f64::to_degrees));
+        let covariance = found.plate.covariance.as_ref();
+        ctx.figure("plate_position_sigma_m", covariance.map(|c| c.position_sigma_m()));
+        ctx.figure(
+            "plate_rotation_sigma_deg",
+            covariance.map(|c| c.rotation_sigma_rad().map(f64::to_degrees)),
+        );
 
         let posed: BTreeMap<_, _> = here.iter().map(|p| (p.file.clone(), found.plate.clone())).collect();
         let cameras = Cameras::new(plate.file.clone(), posed, found.focal_sigma_px);

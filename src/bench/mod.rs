@@ -75,6 +75,8 @@ pub enum Table {
     Vanishing,
     /// Response and merged radiance against the truth, beside OpenCV and pfstools; takes folders of exposures, too.
     Radiometry,
+    /// Response and merging on ten frames of 12 megapixels beside OpenCV: time and memory; takes folders, too.
+    MergeCost,
     /// How the response varies with samples, size, exposures and seed, against its own band; takes folders, too.
     Stability,
 }
@@ -103,7 +105,7 @@ pub fn bench(
     let others = tables.is_empty()
         || tables
             .iter()
-            .any(|t| !matches!(t, Table::Radiometry | Table::Stability | Table::Vanishing | Table::Volume));
+            .any(|t| !matches!(t, Table::Radiometry | Table::MergeCost | Table::Stability | Table::Vanishing | Table::Volume));
     let settings = if others { validate::settings_under(paths)? } else { Vec::new() };
     if let Some(folder) = pictures {
         std::fs::create_dir_all(folder).at("making a folder for pictures", folder)?;
@@ -124,6 +126,7 @@ pub fn bench(
             Table::Methods => methods::print(&settings, frames, printer)?,
             Table::Subtractive => subtractive::print(&settings, environments, pictures, printer)?,
             Table::Radiometry => radiometry::print(paths, printer)?,
+            Table::MergeCost => radiometry::print_cost(paths, printer)?,
             Table::Vanishing => vanishing::print(paths, printer)?,
             Table::Stability => radiometry::print_stability(paths, printer)?,
             Table::Occlusion => occlusion::print(&settings, frames, pictures, printer)?,
@@ -142,7 +145,7 @@ pub fn bench(
     Ok(())
 }
 
-/// Merges a folder of large frames by one program and prints seconds and peak memory: a process of the table `radiometry`.
+/// Merges a folder of large frames by one program and prints seconds and peak memory: a process of the table `merge-cost`.
 pub fn merge_cost(program: &str, folder: &Path, printer: &Printer) -> Result<()> {
     radiometry::merge_cost(program, folder, printer)
 }

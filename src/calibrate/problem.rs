@@ -29,6 +29,33 @@ pub enum Problem {
         /// How many.
         found: usize,
     },
+    /// The boards' poses do not tell the lens.
+    #[error(
+        "the photographs of the grid are too much alike to tell the lens from its poses (condition number {condition:.0}, at most \
+         {limit:.0} is allowed)"
+    )]
+    PosesAlike {
+        /// Condition number of the lens' equations.
+        condition: f64,
+        /// Largest acceptable.
+        limit: f64,
+    },
+    /// A grid of markers that cannot be.
+    #[error("`calibrate.grid` has {what}")]
+    NotAGrid {
+        /// What is wrong.
+        what: String,
+    },
+    /// Hardly anything of a grid of markers is seen.
+    #[error("{found} of the grid's {of} corners are seen, {needed} are needed")]
+    FewCorners {
+        /// Corners seen.
+        found: usize,
+        /// Corners there are.
+        of: usize,
+        /// Corners needed.
+        needed: usize,
+    },
     /// The focal length is not determined.
     #[error("the focal length is known to {:.1} % only (limit {:.0} %)", 100.0 * relative, 100.0 * limit)]
     FocalUncertain {
@@ -147,6 +174,13 @@ impl crate::error::Problem for Problem {
                 "show the grid with its margin, or set `calibrate.disc = \"none\"`".into()
             }
             Self::FewGrids { .. } => "photograph the grid from at least 3, better 10, sides".into(),
+            Self::PosesAlike { .. } => {
+                "photograph the grid tilted by 30° and more to several sides, near and far, in all parts of the picture".into()
+            }
+            Self::NotAGrid { .. } => "measure the printed grid again, in metres".into(),
+            Self::FewCorners { .. } => {
+                "show more of the grid, sharp and larger, and check dictionary, counts and `first_id` of `calibrate.grid`".into()
+            }
             Self::FocalOpen { .. } => {
                 "state the focal length (EXIF, or `ingest.focal_mm` and `ingest.sensor_width_mm`), or use a photograph that \
                  shows two directions in perspective"

@@ -3,7 +3,7 @@
 use super::vanishing::{self, Edge, EdgeFit, Placing, RoomEdges, StatedFocal};
 use super::{PosedCamera, Problem, board, edges_of, lens, lines, manhattan, pose, pose_from_lines};
 use crate::annotations::VanishingLines;
-use crate::camera::Intrinsics;
+use crate::camera::{Intrinsics, LensCovariance, focal_alone};
 use crate::config::{self, PoseSource};
 use crate::image::Image;
 use crate::vision::{self, BoardView};
@@ -91,7 +91,7 @@ pub fn solve(evidence: &Evidence, settings: &config::Calibrate) -> Result<Soluti
 
     let (focal_source, focal_sigma_px, lens) = match (lens, &edge_fit) {
         (Ok(lens), _) => {
-            ("grid", Some(lens.fit.focal_sigma_px[0].max(lens.fit.focal_sigma_px[1])), Some(lens))
+            ("grid", Some(lens.focal_sigma_px()), Some(lens))
         }
         (Err(problem), Some(Ok(fit))) => {
             warnings.push(format!("focal length from the vanishing lines, not from the grid: {problem}"));
@@ -151,7 +151,12 @@ pub fn solve(evidence: &Evidence, settings: &config::Calibrate) -> Result<Soluti
                 }
                 boards => {
                     let edges = marked.as_ref().filter(|_| source == PoseSource::Both);
-                    let found = from_grid(&boards?, &intrinsics, lens.as_ref(), edges, settings)?;
+                    let alone = focal_sigma_px.or(stated.map(|s| s.relative_sigma * s.focal_px));
+                    let of_lens = match &lens {
+                        Some(lens) => lens.fit.covariance,
+                        None => focal_alone(alone.unwrap_or(0.0)),
+                    };
+                    let found = from_grid(&boards?, &intrinsics, &of_lens, lens.as_ref(), edges, settings)?;
                     (found.posed, found.edge_rms_px)
                 }
             }
@@ -264,12 +269,14 @@ fn plate_boards(
 fn from_grid(
     boards: &[BoardView],
     intrinsics: &Intrinsics,
+    lens_covariance: &LensCovariance,
     lens: Option<&lens::Lens>,
     edges: Option<&RoomEdges>,
     settings: &config::Calibrate,
 ) -> Result<pose::ViewPose, Problem> {
     let view = pose::View {
         intrinsics,
+        lens_covariance,
         boards,
         corner_sigma_px: lens.map_or(0.0, |lens| lens.fit.rms_px / 2f64.sqrt()),
         edges: edges.map(|edges| (edges, settings.mark_sigma_px)),

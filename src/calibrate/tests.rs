@@ -131,7 +131,13 @@ proptest! {
         let board = board::corner_positions(&settings);
         let see = |p: &Point2<f64>| camera.project(&(world_from_grid() * Point3::new(p.x, p.y, 0.0))).unwrap();
         let boards = [BoardView { pixels: board.iter().map(see).collect(), board }];
-        let view = pose::View { intrinsics: &camera.intrinsics, boards: &boards, corner_sigma_px: 0.1, edges: None };
+        let view = pose::View {
+            intrinsics: &camera.intrinsics,
+            lens_covariance: &LensCovariance::zeros(),
+            boards: &boards,
+            corner_sigma_px: 0.1,
+            edges: None,
+        };
         let posed = pose::fit(&view).unwrap().posed;
         prop_assert!((posed.camera.centre().coords - from).norm() < 1e-6);
         prop_assert!(posed.rms_px < 1e-6);

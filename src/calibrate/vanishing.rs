@@ -358,13 +358,14 @@ pub fn camera_centre(
     }
 }
 
-/// Standard deviation of the camera centre along each axis, m, by the propagation of all marks' noise.
-pub fn camera_centre_sigma(
+/// How the camera centre (rows, m) follows focal length (px), turn (rad) and the marks that place it (px, two each), and the
+/// covariance of all these.
+pub fn camera_centre_errors(
     placing: &Placing,
     fit: &EdgeFit,
     centre: Point2<f64>,
     sigma_px: f64,
-) -> Result<[f64; 3], Problem> {
+) -> Result<(DMatrix<f64>, DMatrix<f64>), Problem> {
     let at = |x: &[f64; 10]| {
         let moved = placing.shifted(&[4, 6, 8].map(|k| Vector2::new(x[k], x[k + 1])));
         let turn = Rotation3::new(Vector3::new(x[1], x[2], x[3]));
@@ -379,6 +380,5 @@ pub fn camera_centre_sigma(
     }
     let mut covariance = DMatrix::identity(10, 10) * (sigma_px * sigma_px);
     covariance.view_mut((0, 0), (4, 4)).copy_from(&fit.covariance);
-    let c = &jacobian * covariance * jacobian.transpose();
-    Ok(std::array::from_fn(|k| c[(k, k)].max(0.0).sqrt()))
+    Ok((jacobian, covariance))
 }

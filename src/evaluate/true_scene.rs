@@ -50,8 +50,7 @@ impl Truth {
         Ok(PosedCamera {
             camera: self.camera(file)?,
             rms_px: 0.0,
-            position_sigma_m: [0.0; 3],
-            rotation_sigma_rad: [0.0; 3],
+            covariance: None,
             rival_rms_px: None,
         })
     }

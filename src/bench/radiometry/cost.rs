@@ -1,6 +1,7 @@
 //! Time and memory on large frames, each program in a process of its own.
 
 use super::subject::Subject;
+use crate::bench::spread;
 use crate::config;
 use crate::error::{Context as _, Error, FileContext, Result};
 use crate::exposure::{Frame, Room, Stored, decode_each};
@@ -19,38 +20,50 @@ const SIZE: (u32, u32) = (4000, 3000);
 const DOING: &str = "timing large frames";
 const LIST: &str = "exposures.txt";
 
-/// The programs, by the names that [`merge_cost`] knows.
-const PROGRAMS: [&str; 3] = ["insitu", "opencv-debevec", "opencv-robertson"];
+/// The programs, by the names that [`merge_cost`] knows, and how often each runs.
+const PROGRAMS: [(&str, usize); 3] = [("insitu", 3), ("opencv-debevec", 3), ("opencv-robertson", 1)];
 
-/// Prints a line for each program: seconds and peak memory from JPEG files to radiance, and both against OpenCV's
-/// `CalibrateDebevec` and `MergeDebevec`.
+/// Prints a line for each program: seconds and peak memory from JPEG files to radiance, medians of runs in turn, and both against
+/// OpenCV's `CalibrateDebevec` and `MergeDebevec`.
 pub(super) fn print(subject: &Subject, printer: &Printer) -> Result<()> {
     let folder = tempfile::tempdir().at(DOING, Path::new("a temporary folder"))?;
     enlarge(subject, folder.path())?;
     printer.data(&format!(
-        "\n{}: {FRAMES} frames enlarged to {}×{} px, from JPEG files to radiance; each in a process of its own\n{:<20}{:>8}{:>12}{:>12}{:>14}",
-        subject.name, SIZE.0, SIZE.1, "", "s", "peak, MiB", "time ratio", "memory ratio"
+        "\n{}: {FRAMES} frames enlarged to {}×{} px, from JPEG files to radiance; each in a process of its own, in turn\n{:<20}{:>6}{:>18}{:>12}{:>12}{:>14}",
+        subject.name, SIZE.0, SIZE.1, "", "runs", "s", "peak, MiB", "time ratio", "memory ratio"
     ));
-    let mut costs = Vec::new();
-    for program in PROGRAMS {
-        let own = std::env::current_exe().at(DOING, folder.path())?;
-        let output =
-            Command::new(&own).args(["merge-cost", program]).arg(folder.path()).output().at(DOING, &own)?;
-        let text = String::from_utf8_lossy(&output.stdout);
-        let numbers: Vec<f64> = text.split_whitespace().filter_map(|w| w.parse().ok()).collect();
-        let [seconds, memory] = numbers[..] else {
-            return Err(Error::Bug(format!(
-                "{program} told no cost: {}",
-                String::from_utf8_lossy(&output.stderr).trim()
-            )));
-        };
-        costs.push((program, seconds, memory));
+    let mut costs: Vec<(Vec<f64>, Vec<f64>)> = vec![Default::default(); PROGRAMS.len()];
+    let most = PROGRAMS.iter().map(|(_, runs)| *runs).max().unwrap_or(0);
+    for run in 0..most {
+        for ((program, _), cost) in PROGRAMS.iter().zip(&mut costs).filter(|((_, runs), _)| run < *runs) {
+            let [seconds, memory] = measured(program, folder.path())?;
+            cost.0.push(seconds);
+            cost.1.push(memory);
+        }
     }
-    let (_, seconds, memory) = costs[1];
-    for (program, s, m) in costs {
-        printer.data(&format!("{program:<20}{s:>8.1}{m:>12.0}{:>12.2}{:>14.2}", s / seconds, m / memory));
+    let costs: Vec<[[f64; 3]; 2]> =
+        costs.into_iter().map(|(mut s, mut memory)| [spread(&mut s), spread(&mut memory)]).collect();
+    let [[seconds, ..], [memory, ..]] = costs[1];
+    for ((program, runs), [[s, least, most], [m, ..]]) in PROGRAMS.iter().zip(costs) {
+        let times = format!("{s:.1} ({least:.1}–{most:.1})");
+        printer.data(&format!(
+            "{program:<20}{runs:>6}{times:>18}{m:>12.0}{:>12.2}{:>14.2}",
+            s / seconds,
+            m / memory
+        ));
     }
     Ok(())
+}
+
+/// Seconds and MiB of a program's run.
+fn measured(program: &str, folder: &Path) -> Result<[f64; 2]> {
+    let own = std::env::current_exe().at(DOING, folder)?;
+    let output = Command::new(&own).args(["merge-cost", program]).arg(folder).output().at(DOING, &own)?;
+    let text = String::from_utf8_lossy(&output.stdout);
+    let numbers: Vec<f64> = text.split_whitespace().filter_map(|w| w.parse().ok()).collect();
+    numbers[..].try_into().map_err(|_| {
+        Error::Bug(format!("{program} told no cost: {}", String::from_utf8_lossy(&output.stderr).trim()))
+    })
 }
 
 fn enlarge(subject: &Subject, folder: &Path) -> Result<()> {
@@ -88,7 +101,7 @@ pub(in crate::bench) fn merge_cost(program: &str, folder: &Path, printer: &Print
         other => {
             return Err(Error::Usage {
                 problem: format!("no program `{other}`"),
-                hint: format!("one of {}", PROGRAMS.join(", ")),
+                hint: format!("one of {}", PROGRAMS.map(|(name, _)| name).join(", ")),
             });
         }
     }
