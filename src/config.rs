@@ -196,10 +196,16 @@ settings! {
         /// Which corner of the grid carries the black disc that tells it from itself turned by 180°; `none` if there
         /// is no disc.
         disc: Disc = Disc::NegXNegY,
+        /// Cameras of another program, relative to this file: a folder with a model of COLMAP, or a project of fSpy.
+        import: Option<PathBuf> = None,
         /// Where the pose of the plate comes from.
         pose: PoseSource = PoseSource::Both,
         /// Accuracy of marked vanishing lines, px.
         mark_sigma_px: f64 = 0.5,
+        /// Whether marked lines along three directions tell the principal point, where no grid does.
+        solve_principal_point: bool = false,
+        /// Whether marked lines tell radial distortion, where no grid does.
+        plumb_lines: bool = false,
         /// Accuracy of the focal length that EXIF or settings state, as a share of it, where it is combined with that
         /// from vanishing lines.
         stated_focal_sigma: f64 = 0.04,

@@ -27,6 +27,12 @@ fn main() -> std::process::ExitCode {
             return Err(Problem::OtherImage { image })
                 .doing(format!("reading {}", ctx.pipeline.annotations.display()));
         }
+        if let Some(from) = &settings.import {
+            let cameras = calibrate::imported(ctx, &capture, &here, from)?;
+            ctx.figure("focal_px", cameras.intrinsics.focal_px[0]);
+            ctx.figure("focal_source", "import");
+            return write(ctx, &cameras);
+        }
         let grids = greys(ctx, &capture, plate, capture.with_role(Role::Grid))?;
         let mut plate_grids = greys(ctx, &capture, plate, capture.with_role(Role::PlateWithGrid))?;
         // Edges are searched in it where none are marked.
@@ -77,8 +83,13 @@ fn main() -> std::process::ExitCode {
         let posed: BTreeMap<_, _> = here.iter().map(|p| (p.file.clone(), found.plate.clone())).collect();
         let cameras = Cameras::new(plate.file.clone(), posed, found.focal_sigma_px);
         let cameras = cameras.ok_or_else(|| Error::Bug("the plate has no pose".into()))?;
-        json::write(&ctx.output("cameras.json"), &cameras)
+        write(ctx, &cameras)
     })
+}
+
+fn write(ctx: &Context, cameras: &Cameras) -> Result<()> {
+    calibrate::export(ctx, cameras)?;
+    json::write(&ctx.output("cameras.json"), cameras)
 }
 
 /// Brightness of photographs; one of another size has another lens and is left out.

@@ -7,6 +7,7 @@ mod cost;
 mod dome;
 mod frames;
 mod gpu;
+mod grids;
 mod growth;
 mod intensity;
 mod ldr;
@@ -75,6 +76,9 @@ pub enum Table {
     Vanishing,
     /// Response and merged radiance against the truth, beside OpenCV and pfstools; takes folders of exposures, too.
     Radiometry,
+    /// Lenses and poses from printed grids against known ones, time beside OpenCV; takes folders with `*_intrinsics.yml`, and
+    /// rendered captures.
+    Grids,
     /// Response and merging on ten frames of 12 megapixels beside OpenCV: time and memory; takes folders, too.
     MergeCost,
     /// How the response varies with samples, size, exposures and seed, against its own band; takes folders, too.
@@ -105,7 +109,7 @@ pub fn bench(
     let others = tables.is_empty()
         || tables
             .iter()
-            .any(|t| !matches!(t, Table::Radiometry | Table::MergeCost | Table::Stability | Table::Vanishing | Table::Volume));
+            .any(|t| !matches!(t, Table::Radiometry | Table::MergeCost | Table::Grids | Table::Stability | Table::Vanishing | Table::Volume));
     let settings = if others { validate::settings_under(paths)? } else { Vec::new() };
     if let Some(folder) = pictures {
         std::fs::create_dir_all(folder).at("making a folder for pictures", folder)?;
@@ -126,6 +130,7 @@ pub fn bench(
             Table::Methods => methods::print(&settings, frames, printer)?,
             Table::Subtractive => subtractive::print(&settings, environments, pictures, printer)?,
             Table::Radiometry => radiometry::print(paths, printer)?,
+            Table::Grids => grids::print(paths, printer)?,
             Table::MergeCost => radiometry::print_cost(paths, printer)?,
             Table::Vanishing => vanishing::print(paths, printer)?,
             Table::Stability => radiometry::print_stability(paths, printer)?,

@@ -2,6 +2,8 @@
 
 mod markers;
 
+pub(super) use markers::check;
+
 use super::Problem;
 use crate::config::{self, Disc, Grid};
 use crate::image::Image;

@@ -55,6 +55,8 @@ pub fn pose_from_lines(
     // Lens and pose by the focal length, the room's turn in the camera frame, and the marks.
     let mut by_all = DMatrix::zeros(LENS + POSE, of_all.ncols());
     by_all.view_mut((0, 0), (2, 1)).fill(1.0);
+    // Principal point and k1.
+    [(2, 4), (3, 5), (4, 6)].iter().for_each(|at| by_all[*at] = 1.0);
     let turn = world_from_grid().rotation.to_rotation_matrix();
     by_all.rows_mut(LENS, 3).copy_from(&(turn.matrix() * centre_by_all));
     let turn = world_from_camera.rotation.to_rotation_matrix();

@@ -13,12 +13,14 @@ mod lines;
 mod manhattan_tests;
 mod problem;
 mod solve;
+mod stage;
 #[cfg(test)]
 mod tests;
 
 pub use lines::{edges_of, pose_from_lines};
 pub use problem::Problem;
 pub use solve::{Evidence, Solution, solve};
+pub use stage::{export, imported};
 
 use crate::artefact::json::JsonArtefact;
 use crate::camera::{Camera, CameraCovariance, Intrinsics, LensCovariance};

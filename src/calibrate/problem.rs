@@ -76,6 +76,14 @@ pub enum Problem {
         /// Relative change by a departure from right angles, 1/rad.
         condition: f64,
     },
+    /// The vanishing points leave the principal point open.
+    #[error("these vanishing points alone do not fix the principal point: it is known to {sigma_px:.0} px only (limit {limit_px:.0} px)")]
+    CentreOpen {
+        /// Its standard deviation.
+        sigma_px: f64,
+        /// Largest acceptable.
+        limit_px: f64,
+    },
     /// No room is seen.
     #[error(
         "of {found} line segments in the photograph {used} agree with three directions at right angles, too few to tell from chance"
@@ -150,6 +158,24 @@ pub enum Problem {
         /// Length with the origin at depth 1.
         relative_length: f64,
     },
+    /// Another program's cameras lack the plate.
+    #[error("there is no camera of {plate} among them")]
+    NotImported {
+        /// File name of the plate.
+        plate: String,
+    },
+    /// Another program saw a picture of another size.
+    #[error(
+        "the camera of {plate} is one of {}×{} px, the photograph has {}×{} px", theirs_px[0], theirs_px[1], plate_px[0], plate_px[1]
+    )]
+    OtherSize {
+        /// File name of the plate.
+        plate: String,
+        /// Size of the plate.
+        plate_px: [u32; 2],
+        /// Size that the camera has.
+        theirs_px: [u32; 2],
+    },
     /// The lines are marked elsewhere.
     #[error("the vanishing lines are marked in {image}, which was not taken from the plate's place")]
     OtherImage {
@@ -186,6 +212,11 @@ impl crate::error::Problem for Problem {
                  shows two directions in perspective"
                     .into()
             }
+            Self::CentreOpen { .. } => {
+                "mark edges along three directions that are all seen in perspective, or take the principal point as central \
+                 (`calibrate.solve_principal_point = false`)"
+                    .into()
+            }
             Self::NoRoom { .. } => {
                 "mark edges along the room's directions under [vanishing_lines], or photograph the grid".into()
             }
@@ -216,6 +247,8 @@ impl crate::error::Problem for Problem {
             }
             Self::NoFloor => "mark `origin` and `scale` under [vanishing_lines]".into(),
             Self::ScaleMarks { .. } => "mark the length from a point on the floor, along its axis".into(),
+            Self::NotImported { .. } => "let the other program see the plate, too, under its file name".into(),
+            Self::OtherSize { .. } => "give the other program the photograph as it is here, neither cropped nor scaled".into(),
             Self::OtherImage { .. } => "mark them in the plate".into(),
             Self::Fit(e) => e.hint(),
             Self::Vision(e) => e.hint(),

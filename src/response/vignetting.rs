@@ -62,7 +62,7 @@ impl Vignetting {
         let fields: Vec<Field> =
             photographs.par_iter().filter_map(|codes| paper::field(codes, response, grid)).collect();
         let open = |sigma| Problem::VignettingOpen { photographs: fields.len(), sigma, limit: MAX_SIGMA };
-        let found = solve(&fields, true).ok_or(open(f64::INFINITY))?;
+        let found = solve(&fields, true).ok_or(open(USUAL_COEFFICIENT * 3f64.sqrt()))?;
         let sigma = found.sigma(1.0);
         if sigma.is_nan() || sigma > MAX_SIGMA { Err(open(sigma)) } else { found.believed() }
     }

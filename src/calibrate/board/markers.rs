@@ -3,7 +3,7 @@
 
 use super::{corner_positions, homography};
 use crate::calibrate::Problem;
-use crate::config::{self, ArucoGrid, CharucoGrid};
+use crate::config::{self, ArucoGrid, CharucoGrid, Grid};
 use crate::image::Image;
 use crate::vision::{self, BoardView, Marker};
 use nalgebra::{Point2, Vector3};
@@ -26,17 +26,39 @@ fn square(centre: Point2<f64>, side: f64) -> [Point2<f64>; 4] {
         .map(|[x, y]| centre + nalgebra::Vector2::new(x, y) * side)
 }
 
+/// Refuses a grid that cannot be printed, or that its dictionary has too few markers for.
+pub(in crate::calibrate) fn check(settings: &config::Calibrate) -> Result<(), Problem> {
+    let (dictionary, last) = match &settings.grid {
+        Grid::Chessboard => return Ok(()),
+        Grid::Charuco(grid) => {
+            let (side, marker_side) = (settings.square_m, grid.marker_m);
+            if !(marker_side > 0.0 && marker_side < side) {
+                let what = format!("markers of {marker_side} m in squares of {side} m");
+                return Err(Problem::NotAGrid { what });
+            }
+            let squares: u32 = settings.inner_corners.iter().map(|n| n + 1).product();
+            (&grid.dictionary, grid.first_id.saturating_add(squares / 2 - 1))
+        }
+        Grid::Aruco(grid) => {
+            let config::MarkerBoard { columns, rows, side_m, gap_m, first_id } = grid.board;
+            let sound = (1..=100).contains(&columns)
+                && (1..=100).contains(&rows)
+                && (side_m > 0.0 && side_m < 100.0)
+                && (0.0..100.0).contains(&gap_m);
+            if !sound {
+                let what = format!("{columns} × {rows} markers with sides of {side_m} m and gaps of {gap_m} m");
+                return Err(Problem::NotAGrid { what });
+            }
+            (&grid.dictionary, first_id.saturating_add((columns * rows - 1) as u32))
+        }
+    };
+    vision::marker_cells(dictionary, last)?;
+    Ok(())
+}
+
 /// Markers in rows: every marker's corners.
 pub(super) fn aruco(image: &Image<u8>, grid: &ArucoGrid) -> Result<BoardView, Problem> {
     let config::MarkerBoard { columns, rows, side_m, gap_m, first_id } = grid.board;
-    let sound = (1..=100).contains(&columns)
-        && (1..=100).contains(&rows)
-        && (side_m > 0.0 && side_m < 100.0)
-        && (0.0..100.0).contains(&gap_m);
-    if !sound {
-        let what = format!("{columns} × {rows} markers with sides of {side_m} m and gaps of {gap_m} m");
-        return Err(Problem::NotAGrid { what });
-    }
     let at = |i: usize, n: usize| (i as f64 - (n as f64 - 1.0) / 2.0) * (side_m + gap_m);
     let centre = |k: usize| Point2::new(at(k % columns, columns), -at(k / columns, rows));
     let places: Places =
@@ -66,10 +88,6 @@ pub(super) fn charuco(
     settings: &config::Calibrate,
 ) -> Result<BoardView, Problem> {
     let (side, marker_side) = (settings.square_m, grid.marker_m);
-    if !(marker_side > 0.0 && marker_side < side) {
-        let what = format!("markers of {marker_side} m in squares of {side} m");
-        return Err(Problem::NotAGrid { what });
-    }
     let places = charuco_places(grid, settings);
     let seen = vision::markers(image, &grid.dictionary)?;
     let seen = known(&seen, &places);
@@ -136,7 +154,6 @@ fn charuco_places(grid: &CharucoGrid, settings: &config::Calibrate) -> Places {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Grid;
     use nalgebra::Matrix3;
 
     const SIZE: (usize, usize) = (640, 480);
