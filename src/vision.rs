@@ -95,16 +95,33 @@ pub fn chessboard_corners(image: &Image<u8>, inner: [u32; 2]) -> Result<Option<V
             }
         }
     }
-    let classic = calib3d::CALIB_CB_ADAPTIVE_THRESH | calib3d::CALIB_CB_NORMALIZE_IMAGE;
     for picture in &pictures {
-        if calib3d::find_chessboard_corners(picture, pattern, &mut corners, classic)? {
-            let window = refinement_window(&corners);
-            let none = Size::new(-1, -1);
-            imgproc::corner_sub_pix(picture, &mut corners, Size::new(window, window), none, stop()?)?;
-            return Ok(Some(points(&corners, 1.0)));
+        if let Some(corners) = classic(picture, pattern, refinement_window)? {
+            return Ok(Some(corners));
         }
     }
     Ok(None)
+}
+
+/// The same as OpenCV's sample `calibration` finds them: by the classic detector, refined within 11 px whatever the squares' size.
+pub fn sample_corners(image: &Image<u8>, inner: [u32; 2]) -> Result<Option<Vec<Point2<f64>>>, Problem> {
+    classic(&matrix(image)?, Size::new(inner[0] as i32, inner[1] as i32), |_| 11)
+}
+
+fn classic(
+    picture: &Mat,
+    pattern: Size,
+    window: impl Fn(&Vector<Point2f>) -> i32,
+) -> Result<Option<Vec<Point2<f64>>>, Problem> {
+    let flags = calib3d::CALIB_CB_ADAPTIVE_THRESH | calib3d::CALIB_CB_NORMALIZE_IMAGE;
+    let mut corners = Vector::<Point2f>::new();
+    if !calib3d::find_chessboard_corners(picture, pattern, &mut corners, flags)? {
+        return Ok(None);
+    }
+    let window = window(&corners);
+    let none = Size::new(-1, -1);
+    imgproc::corner_sub_pix(picture, &mut corners, Size::new(window, window), none, stop()?)?;
+    Ok(Some(points(&corners, 1.0)))
 }
 
 /// Length of the longer side to which small pictures are enlarged, px.
@@ -182,7 +199,11 @@ pub fn calibrate_lens(
         &mut rotations,
         &mut translations,
         flags,
-        TermCriteria::new(opencv::core::TermCriteria_COUNT | opencv::core::TermCriteria_EPS, 30, f64::EPSILON)?,
+        TermCriteria::new(
+            opencv::core::TermCriteria_COUNT | opencv::core::TermCriteria_EPS,
+            30,
+            f64::EPSILON,
+        )?,
     )?;
     let (k, d) = (numbers(&matrix, 9)?, numbers(&distortion, 5)?);
     let intrinsics = Intrinsics {
@@ -204,7 +225,10 @@ pub fn refined_corners(
     let theirs = |p: &Point2<f64>| Point2f::new((p.x - HALF) as f32, (p.y - HALF) as f32);
     let within = |p: &Point2<f64>| {
         let margin = f64::from(window) + 2.0;
-        p.x > margin && p.y > margin && p.x < image.width() as f64 - margin && p.y < image.height() as f64 - margin
+        p.x > margin
+            && p.y > margin
+            && p.x < image.width() as f64 - margin
+            && p.y < image.height() as f64 - margin
     };
     // OpenCV refuses all where one is outside.
     let inside: Vec<usize> = (0..corners.len()).filter(|k| within(&corners[*k])).collect();

@@ -63,7 +63,12 @@ impl Known {
     fn read(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path).at(DOING, path)?;
         let bad = |what: &str| {
-            Error::file(DOING, path, format!("lacks {what}"), "give what OpenCV's sample `calibration` writes")
+            Error::file(
+                DOING,
+                path,
+                format!("lacks {what}"),
+                "give what OpenCV's sample `calibration` writes",
+            )
         };
         let after = |key: &str| {
             let start = text.find(&format!("{key}:")).ok_or_else(|| bad(key))? + key.len() + 1;
@@ -76,7 +81,8 @@ impl Known {
         let list = |key: &str, count: usize| {
             let rest = after(key)?;
             let inside = rest.split_once("data: [").and_then(|(_, r)| r.split_once(']')).map(|(d, _)| d);
-            let all: Option<Vec<f64>> = inside.map(|d| d.split(',').filter_map(|v| v.trim().parse().ok()).collect());
+            let all: Option<Vec<f64>> =
+                inside.map(|d| d.split(',').filter_map(|v| v.trim().parse().ok()).collect());
             all.filter(|a| a.len() == count).ok_or_else(|| bad(key))
         };
         let (k, d) = (list("camera_matrix", 9)?, list("distortion_coefficients", 5)?);
@@ -104,18 +110,30 @@ impl Known {
 fn folder(path: &Path, file: &Path, printer: &Printer) -> Result<()> {
     let known = Known::read(file)?;
     let name = file.file_name().unwrap_or_default().to_string_lossy().replace("_intrinsics.yml", "");
-    let mut views = Vec::new();
+    let (mut views, mut of_sample) = (Vec::new(), Vec::new());
     for photo in exposure::list(path)?.iter().filter(|p| p.starts_with(&name) && p.ends_with(".jpg")) {
         let image = grey_of(&decode(&path.join(photo))?);
         match board::find(&image, &known.grid) {
-            Ok(view) => views.push(view),
+            Ok(view) => {
+                let pixels = vision::sample_corners(&image, known.grid.inner_corners).doing(DOING)?;
+                of_sample.extend(pixels.map(|pixels| BoardView { pixels, board: view.board.clone() }));
+                views.push(view);
+            }
             Err(problem) => printer.data(&format!("{photo}: {problem}")),
         }
     }
     printer.data(&format!(
-        "\n{}, {name}: {} views; published: rms {:.3} px\n{:<26}{:>20}{:>20}{:>34}{:>8}{:>12}{:>16}",
-        validate::name(path), views.len(), known.rms_px,
-        "", "focal length, px", "principal point", "distortion", "rms, px", "largest, %", "ms"
+        "\n{}, {name}: {} views; published: rms {:.3} px\n{:<26}{:>20}{:>20}{:>34}{:>8}{:>12}{:>22}",
+        validate::name(path),
+        views.len(),
+        known.rms_px,
+        "",
+        "focal length, px",
+        "principal point",
+        "distortion",
+        "rms, px",
+        "largest, %",
+        "ms"
     ));
     lens_row("published", &known.intrinsics, known.rms_px, &known, &[], printer);
     let [width, height] = [known.intrinsics.width_px, known.intrinsics.height_px];
@@ -136,21 +154,28 @@ fn folder(path: &Path, file: &Path, printer: &Printer) -> Result<()> {
     let (by_opencv, rms) =
         vision::calibrate_lens(&views, width, height, start, true).doing("fitting a lens by OpenCV")?;
     lens_row("OpenCV, the same corners", &by_opencv, rms, &known, &theirs, printer);
+    let start = Intrinsics::pinhole(width, height, start);
+    let sample = bundle::fit(&of_sample, &start, square).doing("fitting a lens")?;
+    lens_row("insitu, sample's corners", &sample.intrinsics, sample.rms_px, &known, &[], printer);
     let stage = lens::fit(&views, width, height, None).doing("fitting a lens")?;
     lens_row("insitu, as the stage does", &stage.fit.intrinsics, stage.fit.rms_px, &known, &[], printer);
     printer.data(&format!(
-        "standard deviations: focal length {:.2} px, principal point {:.2} {:.2} px; condition number {:.1}; the stage leaves out {} views{}",
+        "standard deviations by our corners: focal length {:.2} px, principal point {:.2} {:.2} px; condition number {:.1}; the stage leaves out {} views{}",
         fit.sigma(0), fit.sigma(2), fit.sigma(3), fit.condition, stage.outliers.len(),
         if stage.dropped.is_empty() { String::new() } else { format!(" and {}", stage.dropped.join(", ")) }
     ));
-    alike(&views, &pinhole, printer);
     if path.join(MARKED).exists() { markers(&path.join(MARKED), printer) } else { Ok(()) }
 }
 
 /// `largest`: of the relative differences of focal length and principal point to the published ones.
 fn lens_row(name: &str, lens: &Intrinsics, rms_px: f64, known: &Known, ms: &[f64], printer: &Printer) {
-    let parts = |i: &Intrinsics| [i.focal_px[0], i.focal_px[1], i.principal_point_px[0], i.principal_point_px[1]];
-    let off = parts(lens).iter().zip(parts(&known.intrinsics)).map(|(a, b)| (a / b - 1.0).abs()).fold(0.0, f64::max);
+    let parts =
+        |i: &Intrinsics| [i.focal_px[0], i.focal_px[1], i.principal_point_px[0], i.principal_point_px[1]];
+    let off = parts(lens)
+        .iter()
+        .zip(parts(&known.intrinsics))
+        .map(|(a, b)| (a / b - 1.0).abs())
+        .fold(0.0, f64::max);
     let [f, g] = lens.focal_px;
     let [x, y] = lens.principal_point_px;
     let [k1, k2, p1, p2, k3] = lens.distortion;
@@ -161,23 +186,12 @@ fn lens_row(name: &str, lens: &Intrinsics, rms_px: f64, known: &Known, ms: &[f64
         format!("{middle:.1} ({least:.1}–{most:.1})")
     };
     printer.data(&format!(
-        "{name:<26}{:>20}{:>20}{:>34}{rms_px:>8.3}{:>12.3}{time:>16}",
+        "{name:<26}{:>20}{:>20}{:>34}{rms_px:>8.3}{:>12.3}{time:>22}",
         format!("{f:.2} {g:.2}"),
         format!("{x:.2} {y:.2}"),
-        format!("{k1:.3} {k2:.3} {p1:.4} {p2:.4} {k3:.2}"),
+        format!("{k1:.3} {k2:.3} {p1:.4} {p2:.4} {k3:.3}"),
         100.0 * off
     ));
-}
-
-/// What is said of views that are all alike: the first one again and again.
-fn alike(views: &[BoardView], start: &Intrinsics, printer: &Printer) {
-    let Some(first) = views.first() else { return };
-    let same = vec![first.clone(); 5];
-    let said = match lens::fit(&same, start.width_px, start.height_px, Some(start.focal_px[0])) {
-        Ok(lens) => format!("condition number {:.0}", lens.fit.condition),
-        Err(problem) => format!("refused: {problem}"),
-    };
-    printer.data(&format!("the first photograph five times: {said}"));
 }
 
 fn markers(file: &Path, printer: &Printer) -> Result<()> {

@@ -107,9 +107,17 @@ pub fn bench(
     let threads = std::thread::available_parallelism().map_or(1, |n| n.get());
     // Folders of photographs have no settings, and some tables need none.
     let others = tables.is_empty()
-        || tables
-            .iter()
-            .any(|t| !matches!(t, Table::Radiometry | Table::MergeCost | Table::Grids | Table::Stability | Table::Vanishing | Table::Volume));
+        || tables.iter().any(|t| {
+            !matches!(
+                t,
+                Table::Radiometry
+                    | Table::MergeCost
+                    | Table::Grids
+                    | Table::Stability
+                    | Table::Vanishing
+                    | Table::Volume
+            )
+        });
     let settings = if others { validate::settings_under(paths)? } else { Vec::new() };
     if let Some(folder) = pictures {
         std::fs::create_dir_all(folder).at("making a folder for pictures", folder)?;

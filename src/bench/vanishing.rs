@@ -175,7 +175,9 @@ fn one(folder: &Path, entry: &Entry, all: &mut Errors, printer: &Printer) -> Res
     let labelled = match entry.labelled() {
         None => "-".into(),
         Some(edges) => {
-            if let Ok(fit) = vanishing::fit_edges(&edges, centre, diagonal, LABEL_SIGMA_PX, Some(known), Inner::default()) {
+            if let Ok(fit) =
+                vanishing::fit_edges(&edges, centre, diagonal, LABEL_SIGMA_PX, Some(known), Inner::default())
+            {
                 all.of_labels
                     .extend(angles_to(fit.room.camera_from_room.matrix(), &entry.vp_orthogonal_columns));
             }

@@ -74,8 +74,8 @@ pub struct Bundle {
     pub rms_px: f64,
     /// The same for each view.
     pub view_rms_px: Vec<f64>,
-    /// How far the poses are from telling the lens apart from themselves: condition number of the lens' normal equations after the
-    /// poses are eliminated, each parameter in units of its standard deviation were the poses known.
+    /// How far the poses are from telling the lens apart from themselves: by so many times the focal length is known worse than it
+    /// would be were everything else known, over its length in widths of the picture, in proportion to which that grows.
     pub condition: f64,
 }
 
@@ -93,9 +93,9 @@ const SETTLED: f64 = 1e-12;
 /// Fits what is free of a lens, and the poses, from a first lens on.
 pub fn fit(views: &[BoardView], start: &Intrinsics, free: FreeLens) -> Result<Bundle, Problem> {
     let start = free.bound(start);
-    let poses = views.iter().map(|view| {
-        Ok(vision::planar_poses(view, &start)?.first().ok_or(Problem::NoPose)?.inverse())
-    });
+    let poses = views
+        .iter()
+        .map(|view| Ok(vision::planar_poses(view, &start)?.first().ok_or(Problem::NoPose)?.inverse()));
     let poses = poses.collect::<Result<Vec<_>, Problem>>()?;
     let mut at = State { intrinsics: start, poses };
     let columns = free.columns();
@@ -110,7 +110,9 @@ pub fn fit(views: &[BoardView], start: &Intrinsics, free: FreeLens) -> Result<Bu
         let better = Normal::of(views, &next, &columns).filter(|n| n.cost < normal.cost);
         let Some(better) = better else {
             damping *= 10.0;
-            if damping > 1e12 { break }
+            if damping > 1e12 {
+                break;
+            }
             continue;
         };
         let gained = 1.0 - better.cost / normal.cost.max(f64::MIN_POSITIVE);
@@ -248,7 +250,8 @@ impl Normal {
         let reduced = self.reduced(damping)?;
         let lens = reduced.square.cholesky()?.solve(&reduced.right);
         let of_pose = |(pose, inverse): (&OfPose, &SMatrix<f64, POSE, POSE>)| {
-            let rest = pose.right - SVector::<f64, POSE>::from_iterator(pose.mixed.tr_mul(&lens).iter().copied());
+            let rest =
+                pose.right - SVector::<f64, POSE>::from_iterator(pose.mixed.tr_mul(&lens).iter().copied());
             inverse * rest
         };
         let poses = self.poses.iter().zip(&reduced.inverses).map(of_pose).collect();
@@ -258,23 +261,25 @@ impl Normal {
     fn finished(&self, views: &[BoardView], at: State, columns: &DMatrix<f64>) -> Result<Bundle, Problem> {
         let open = Problem::PosesAlike { condition: f64::INFINITY, limit: super::lens::MAX_CONDITION };
         let reduced = self.reduced(0.0).ok_or(open.clone())?;
-        let scale = self.lens.diagonal().map(|v| v.sqrt().recip());
-        let scaled = DMatrix::from_fn(scale.len(), scale.len(), |i, j| {
-            reduced.square[(i, j)] * scale[i] * scale[j]
-        });
-        let eigenvalues = scaled.symmetric_eigenvalues();
-        let condition = (eigenvalues.max() / eigenvalues.min().max(0.0)).sqrt();
         let corners: usize = views.iter().map(|v| v.pixels.len()).sum();
         let freedom = (2 * corners).saturating_sub(columns.ncols() + POSE * views.len()).max(1);
-        let inverse = reduced.square.cholesky().ok_or(open)?.inverse() * (self.cost / freedom as f64);
-        let covariance = columns * inverse * columns.transpose();
+        let inverse = reduced.square.cholesky().ok_or(open)?.inverse();
+        let lens = &at.intrinsics;
+        let condition =
+            (self.lens[(0, 0)] * inverse[(0, 0)]).sqrt() * f64::from(lens.width_px) / lens.focal_px[0];
+        let covariance = columns * inverse * columns.transpose() * (self.cost / freedom as f64);
         let rms = |cost: f64, count: usize| (cost / count.max(1) as f64).sqrt();
         Ok(Bundle {
             intrinsics: at.intrinsics,
             covariance: LensCovariance::from_iterator(covariance.iter().copied()),
             board_from_camera: at.poses,
             rms_px: rms(self.cost, corners),
-            view_rms_px: self.of_views.iter().zip(views).map(|(cost, view)| rms(*cost, view.pixels.len())).collect(),
+            view_rms_px: self
+                .of_views
+                .iter()
+                .zip(views)
+                .map(|(cost, view)| rms(*cost, view.pixels.len()))
+                .collect(),
             condition,
         })
     }

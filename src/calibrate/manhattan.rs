@@ -227,7 +227,8 @@ fn refine(
     let mut last = None;
     for _ in 0..turns {
         let (edges, along) = agreeing(&room, judges, centre, diagonal_px);
-        let weighed = Weighed { along, square_sigma: SQUARE_SIGMA, loss: Loss::Squares, inner: Inner::default() };
+        let weighed =
+            Weighed { along, square_sigma: SQUARE_SIGMA, loss: Loss::Squares, inner: Inner::default() };
         let fit = weighed.fit(room, centre, stated).ok()?;
         room = fit.room;
         last = Some((edges, fit));

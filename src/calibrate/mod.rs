@@ -8,6 +8,8 @@ pub mod manhattan;
 pub mod pose;
 pub mod vanishing;
 
+#[cfg(test)]
+mod bundle_tests;
 mod lines;
 #[cfg(test)]
 mod manhattan_tests;

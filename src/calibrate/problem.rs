@@ -35,7 +35,7 @@ pub enum Problem {
          {limit:.0} is allowed)"
     )]
     PosesAlike {
-        /// Condition number of the lens' equations.
+        /// By how many times the poses make the focal length worse known.
         condition: f64,
         /// Largest acceptable.
         limit: f64,
@@ -77,7 +77,9 @@ pub enum Problem {
         condition: f64,
     },
     /// The vanishing points leave the principal point open.
-    #[error("these vanishing points alone do not fix the principal point: it is known to {sigma_px:.0} px only (limit {limit_px:.0} px)")]
+    #[error(
+        "these vanishing points alone do not fix the principal point: it is known to {sigma_px:.0} px only (limit {limit_px:.0} px)"
+    )]
     CentreOpen {
         /// Its standard deviation.
         sigma_px: f64,

@@ -77,10 +77,7 @@ pub fn solve(evidence: &Evidence, settings: &config::Calibrate) -> Result<Soluti
             .map(|_| StatedFocal { focal_px: intrinsics.focal_px[0], relative_sigma: SURE });
         search(plate, &intrinsics, diagonal, known.or(stated))
     });
-    let asked = Inner {
-        principal_point: settings.solve_principal_point,
-        distortion: settings.plumb_lines,
-    };
+    let asked = Inner { principal_point: settings.solve_principal_point, distortion: settings.plumb_lines };
     let mut insignificant = None;
     let edge_fit = marked.as_ref().map(|edges| {
         let stated = stated.filter(|_| lens.is_err());
@@ -110,9 +107,7 @@ pub fn solve(evidence: &Evidence, settings: &config::Calibrate) -> Result<Soluti
     let edge_fit = edge_fit.or(found.map(|found| found.and_then(|f| f.fit.certain())));
 
     let (focal_source, focal_sigma_px, lens) = match (lens, &edge_fit) {
-        (Ok(lens), _) => {
-            ("grid", Some(lens.focal_sigma_px()), Some(lens))
-        }
+        (Ok(lens), _) => ("grid", Some(lens.focal_sigma_px()), Some(lens)),
         (Err(problem), Some(Ok(fit))) => {
             warnings.push(format!("focal length from the vanishing lines, not from the grid: {problem}"));
             intrinsics.focal_px = [fit.room.focal_px; 2];

@@ -27,8 +27,12 @@ pub fn imported(ctx: &Context, capture: &Capture, here: &[&Photo], from: &Path) 
     let lens = &own.camera.intrinsics;
     if [lens.width_px, lens.height_px] != size(plate) {
         let theirs = [lens.width_px, lens.height_px];
-        return Err(Problem::OtherSize { plate: plate.file.clone(), plate_px: size(plate), theirs_px: theirs })
-            .doing(doing());
+        return Err(Problem::OtherSize {
+            plate: plate.file.clone(),
+            plate_px: size(plate),
+            theirs_px: theirs,
+        })
+        .doing(doing());
     }
     let posed = |posed: &Posed| PosedCamera {
         camera: posed.camera.clone(),
@@ -40,8 +44,7 @@ pub fn imported(ctx: &Context, capture: &Capture, here: &[&Photo], from: &Path) 
         capture.images.iter().filter_map(|p| Some((p.file.clone(), posed(found(p)?)))).collect();
     cameras.extend(here.iter().map(|p| (p.file.clone(), posed(own))));
     ctx.warn(format!("lens and poses are those of {}: their accuracy is not known", from.display()));
-    Cameras::new(plate.file.clone(), cameras, None)
-        .ok_or_else(|| Error::Bug("the plate has no pose".into()))
+    Cameras::new(plate.file.clone(), cameras, None).ok_or_else(|| Error::Bug("the plate has no pose".into()))
 }
 
 fn model_of_colmap(

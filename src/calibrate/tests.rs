@@ -146,7 +146,7 @@ proptest! {
 }
 
 /// A rendered grid: box-filtered, with its disc.
-fn picture(camera: &Camera, disc: bool, hidden: bool) -> Image<u8> {
+pub(super) fn picture(camera: &Camera, disc: bool, hidden: bool) -> Image<u8> {
     let ground = |x: f64, y: f64| -> f64 {
         let ray = camera.ray(&Point2::new(x, y));
         let p = ray.origin + ray.direction.into_inner() * (-ray.origin.y / ray.direction.y);
@@ -170,7 +170,7 @@ fn picture(camera: &Camera, disc: bool, hidden: bool) -> Image<u8> {
     })
 }
 
-fn above(from: [f64; 3]) -> Camera {
+pub(super) fn above(from: [f64; 3]) -> Camera {
     let from = Vector3::from(from);
     let z = -from.normalize();
     let x = z.cross(&Vector3::y()).normalize();
@@ -261,8 +261,14 @@ fn noisy_marks(camera: &Camera, sigma: f64, seed: u64) -> crate::annotations::Va
         [p.x + sigma * normal(), p.y + sigma * normal()]
     };
     let starts = [
-        [-0.4, -0.3, 0.0], [0.2, 0.1, 0.0], [0.0, -0.5, 0.3], [-0.2, 0.3, 0.2], [0.4, -0.2, 0.1], [-0.5, 0.0, 0.4],
-        [0.1, 0.4, 0.05], [-0.1, -0.1, 0.35],
+        [-0.4, -0.3, 0.0],
+        [0.2, 0.1, 0.0],
+        [0.0, -0.5, 0.3],
+        [-0.2, 0.3, 0.2],
+        [0.4, -0.2, 0.1],
+        [-0.5, 0.0, 0.4],
+        [0.1, 0.4, 0.05],
+        [-0.1, -0.1, 0.35],
     ];
     let lines = |k: usize| {
         let line = |s: &[f64; 3]| {
@@ -334,10 +340,8 @@ fn three_vanishing_points_tell_the_principal_point() {
     // Two leave it open.
     let two = edges([0.9, 0.6, 0.5], off, 0.3, &[0, 1]);
     let refused = fit_edges(&two, CENTRE, DIAGONAL, 0.5, None, solve);
-    let open = matches!(
-        refused,
-        Err(Problem::CentreOpen { .. } | Problem::FocalOpen { .. } | Problem::Fit(_))
-    );
+    let open =
+        matches!(refused, Err(Problem::CentreOpen { .. } | Problem::FocalOpen { .. } | Problem::Fit(_)));
     assert!(open, "{refused:?}");
 }
 

@@ -260,7 +260,8 @@ impl Weighed {
         let lean = "a direction's departure from the right angle";
         let names = ["the focal length", "the tilt", "the tilt", "the roll"].into_iter().chain([lean; 6]);
         let names = names.chain(["the principal point"; 2].into_iter().filter(|_| principal_point));
-        let names: Vec<String> = names.chain(Some("the distortion").filter(|_| distortion)).map(String::from).collect();
+        let names: Vec<String> =
+            names.chain(Some("the distortion").filter(|_| distortion)).map(String::from).collect();
         let fit = least_squares::minimise(&residuals, &names, &vec![0.0; names.len()], self.loss)?;
         let (room, centre, k1) = (room(&fit.parameters), moved(&fit.parameters), k1(&fit.parameters));
         // Where the parameters of the covariance stand among those fitted.

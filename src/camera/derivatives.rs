@@ -2,7 +2,8 @@
 
 use super::Intrinsics;
 use nalgebra::{
-    Isometry3, Matrix2, Matrix2x3, Point2, Point3, SMatrix, SVector, Translation3, UnitQuaternion, Vector2, Vector3,
+    Isometry3, Matrix2, Matrix2x3, Point2, Point3, SMatrix, SVector, Translation3, UnitQuaternion, Vector2,
+    Vector3,
 };
 
 /// Parameters of a lens, in the order of derivatives and covariances: focal length along x and y (px), principal point (px),
@@ -24,7 +25,11 @@ pub struct Projected {
 
 impl Projected {
     /// By the pose of a camera, from which the point lies at `seen` (world axes, m).
-    pub fn by_pose(&self, world_from_camera: &UnitQuaternion<f64>, seen: &Vector3<f64>) -> SMatrix<f64, 2, POSE> {
+    pub fn by_pose(
+        &self,
+        world_from_camera: &UnitQuaternion<f64>,
+        seen: &Vector3<f64>,
+    ) -> SMatrix<f64, 2, POSE> {
         let by_world = self.by_point * world_from_camera.inverse().to_rotation_matrix().matrix();
         let mut by_pose = SMatrix::<f64, 2, POSE>::zeros();
         by_pose.fixed_columns_mut::<3>(0).copy_from(&-by_world);

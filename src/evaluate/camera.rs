@@ -75,7 +75,9 @@ fn drawn(contacts: &[Contact], plate: &CodeImage) -> Result<String> {
             marks,
             "<g transform=\"translate({x:.2} {y:.2}) rotate({:.2})\"><ellipse rx={a:.2} ry={b:.2} fill=none stroke=#ff2bd6 stroke-width={:.2} /></g>\
              <circle cx={x:.2} cy={y:.2} r={:.2} fill=#ff2bd6 />",
-            contact.angle_deg, width / 500.0, width / 500.0
+            contact.angle_deg,
+            width / 500.0,
+            width / 500.0
         );
     }
     let data = super::html::base64(&encode_png(plate)?);

@@ -109,8 +109,13 @@ impl Tracker {
             let boards = [self.layout.view(seen)?];
             let intrinsics = &self.intrinsics;
             let lens_covariance = &LensCovariance::zeros();
-            let view =
-                pose::View { intrinsics, lens_covariance, boards: &boards, corner_sigma_px: 0.0, edges: None };
+            let view = pose::View {
+                intrinsics,
+                lens_covariance,
+                boards: &boards,
+                corner_sigma_px: 0.0,
+                edges: None,
+            };
             Some((pose::fit(&view).ok()?.posed, boards[0].board.len()))
         };
         let all = fit(seen)?;

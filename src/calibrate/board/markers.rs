@@ -46,7 +46,8 @@ pub(in crate::calibrate) fn check(settings: &config::Calibrate) -> Result<(), Pr
                 && (side_m > 0.0 && side_m < 100.0)
                 && (0.0..100.0).contains(&gap_m);
             if !sound {
-                let what = format!("{columns} × {rows} markers with sides of {side_m} m and gaps of {gap_m} m");
+                let what =
+                    format!("{columns} × {rows} markers with sides of {side_m} m and gaps of {gap_m} m");
                 return Err(Problem::NotAGrid { what });
             }
             (&grid.dictionary, first_id.saturating_add((columns * rows - 1) as u32))
@@ -114,7 +115,8 @@ pub(super) fn charuco(
             Point2::new(p.x / p.z, p.y / p.z)
         };
         let nearest = local.board.iter().min_by(|a, b| (*a - corner).norm().total_cmp(&(*b - corner).norm()));
-        white_px = nearest.map_or(white_px, |n| white_px.min((pixel(*n) - pixel(corner)).norm() / 2f64.sqrt()));
+        white_px =
+            nearest.map_or(white_px, |n| white_px.min((pixel(*n) - pixel(corner)).norm() / 2f64.sqrt()));
         expected.board.push(corner);
         expected.pixels.push(pixel(corner));
     }
@@ -125,10 +127,8 @@ pub(super) fn charuco(
     let square_px = white_px * 2.0 * side / (side - marker_side);
     let mut view = BoardView { board: Vec::new(), pixels: Vec::new() };
     for ((board, from), to) in expected.board.iter().zip(&expected.pixels).zip(refined) {
-        let within = to.x >= 0.0
-            && to.y >= 0.0
-            && to.x <= image.width() as f64
-            && to.y <= image.height() as f64;
+        let within =
+            to.x >= 0.0 && to.y >= 0.0 && to.x <= image.width() as f64 && to.y <= image.height() as f64;
         if within && (to - from).norm() < (MOST_MOVED * square_px).max(1.0) {
             view.board.push(*board);
             view.pixels.push(to);
@@ -242,9 +242,8 @@ mod tests {
         let board = config::MarkerBoard { columns: 4, rows: 3, side_m: 0.05, gap_m: 0.02, first_id: 3 };
         let grid = ArucoGrid { dictionary: "5x5_100".into(), board };
         let at = |i: usize, n: usize| (i as f64 - (n as f64 - 1.0) / 2.0) * 0.07;
-        let places: Places = (0..12)
-            .map(|k| (3 + k as u32, square(Point2::new(at(k % 4, 4), -at(k / 4, 3)), 0.05)))
-            .collect();
+        let places: Places =
+            (0..12).map(|k| (3 + k as u32, square(Point2::new(at(k % 4, 4), -at(k / 4, 3)), 0.05))).collect();
         let marker = marker_light(&places, "5x5_100");
         let from_pixel = pixel_from_board().try_inverse().unwrap();
         let picture =

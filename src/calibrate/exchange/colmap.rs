@@ -24,12 +24,7 @@ const MODELS: [(&str, usize); 11] = [
 ];
 
 /// The lens of a model and its parameters.
-fn lens(
-    camera: u32,
-    model: &str,
-    [width_px, height_px]: [u32; 2],
-    p: &[f64],
-) -> Result<Intrinsics, Problem> {
+fn lens(camera: u32, model: &str, [width_px, height_px]: [u32; 2], p: &[f64]) -> Result<Intrinsics, Problem> {
     let unknown = || Problem::Model { camera, model: model.to_string() };
     let (focal_px, centre, distortion) = match (model, p) {
         ("SIMPLE_PINHOLE", &[f, x, y]) => ([f; 2], [x, y], [0.0; 5]),
@@ -59,7 +54,8 @@ fn image(lenses: &Lenses, name: String, camera: u32, q: [f64; 4], t: [f64; 3]) -
     if !t.iter().chain(&q).all(|v| v.is_finite()) || turn.norm() < 0.5 {
         return Err(Problem::NotOne("model of COLMAP"));
     }
-    let camera_from_grid = Isometry3::from_parts(Translation3::from(t), UnitQuaternion::from_quaternion(turn));
+    let camera_from_grid =
+        Isometry3::from_parts(Translation3::from(t), UnitQuaternion::from_quaternion(turn));
     Ok(Posed { image: name, camera: posed(lens.clone(), &camera_from_grid) })
 }
 
@@ -109,7 +105,8 @@ struct Reader<'a>(&'a [u8]);
 
 impl Reader<'_> {
     fn take<const N: usize>(&mut self) -> Result<[u8; N], Problem> {
-        let (head, rest) = self.0.split_first_chunk::<N>().ok_or(Problem::NotOne("binary model of COLMAP"))?;
+        let (head, rest) =
+            self.0.split_first_chunk::<N>().ok_or(Problem::NotOne("binary model of COLMAP"))?;
         self.0 = rest;
         Ok(*head)
     }
@@ -193,7 +190,15 @@ pub fn write_text(all: &[Posed]) -> [String; 2] {
         let _ = writeln!(
             images,
             "{} {} {} {} {} {} {} {} {} {image}\n",
-            number + 1, q.w, q.i, q.j, q.k, t.x, t.y, t.z, lens + 1
+            number + 1,
+            q.w,
+            q.i,
+            q.j,
+            q.k,
+            t.x,
+            t.y,
+            t.z,
+            lens + 1
         );
     }
     let mut cameras = String::from("# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS\n");
@@ -250,7 +255,8 @@ mod tests {
         // A point on the axis, 2 m before a camera that is 2 m from the origin of a z-up world, looking along its +x.
         let cameras = "# comment\n7 SIMPLE_RADIAL 640 480 500 320 240 0.1\n";
         let (s, t) = (0.5, -0.5);
-        let images = format!("3 {s} {t} {s} {t} 0 0 2 7 one.jpg\n10 20 -1 30 40 5\n4 1 0 0 0 0 0 2 7 two.jpg\n\n");
+        let images =
+            format!("3 {s} {t} {s} {t} 0 0 2 7 one.jpg\n10 20 -1 30 40 5\n4 1 0 0 0 0 0 2 7 two.jpg\n\n");
         let read = read_text(cameras, &images).unwrap();
         assert_eq!(read.len(), 2);
         let grid_point = Point3::new(0.1, 0.0, 0.0);
@@ -279,7 +285,8 @@ mod tests {
         images.extend(b"one.jpg\0");
         images.extend(1_u64.to_le_bytes());
         images.extend([0; 24]);
-        let text = read_text("7 SIMPLE_RADIAL 640 480 500 320 240 0.1", "3 0.5 -0.5 0.5 -0.5 0 0 2 7 one.jpg\n\n");
+        let text =
+            read_text("7 SIMPLE_RADIAL 640 480 500 320 240 0.1", "3 0.5 -0.5 0.5 -0.5 0 0 2 7 one.jpg\n\n");
         assert_eq!(read_binary(&cameras, &images).unwrap(), text.unwrap());
         for cut in [4, 20, 60] {
             let refused = read_binary(&cameras, &images[..cut]);

@@ -26,9 +26,13 @@ pub fn read(bytes: &[u8]) -> Result<Camera, Problem> {
         return Err(Problem::NoSolution("its vanishing points were not solved".into()));
     }
     let of = |value: &Value, name: &str| {
-        value.as_f64().filter(|v| v.is_finite()).ok_or_else(|| Problem::NoSolution(format!("`{name}` is missing")))
+        value
+            .as_f64()
+            .filter(|v| v.is_finite())
+            .ok_or_else(|| Problem::NoSolution(format!("`{name}` is missing")))
     };
-    let (width, height) = (of(&camera["imageWidth"], "imageWidth")?, of(&camera["imageHeight"], "imageHeight")?);
+    let (width, height) =
+        (of(&camera["imageWidth"], "imageWidth")?, of(&camera["imageHeight"], "imageHeight")?);
     let half = 0.5 * width.max(height);
     let focal = half * of(&camera["relativeFocalLength"], "relativeFocalLength")?;
     let x = of(&camera["principalPoint"]["x"], "principalPoint")?;

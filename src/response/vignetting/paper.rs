@@ -129,14 +129,27 @@ mod tests {
             let squares = (0.0..nx + 1.0).contains(&i) && (0.0..ny + 1.0).contains(&j);
             let margin = (-0.5..nx + 1.5).contains(&i) && (-0.5..ny + 1.5).contains(&j);
             let black = squares && (i.floor() + j.floor()) % 2.0 == 0.0;
-            light * if black { 0.03 } else if margin { 0.5 } else { 0.15 }
+            light
+                * if black {
+                    0.03
+                } else if margin {
+                    0.5
+                } else {
+                    0.15
+                }
         };
         Image::from_fn(SIZE.0, SIZE.1, |x, y| {
             let parts = [0.125, 0.375, 0.625, 0.875];
-            let mean = parts.iter().flat_map(|s| parts.map(|t| paper(x as f64 + s, y as f64 + t))).sum::<f64>() / 16.0;
+            let mean =
+                parts.iter().flat_map(|s| parts.map(|t| paper(x as f64 + s, y as f64 + t))).sum::<f64>()
+                    / 16.0;
             let seen = mean as f32 * lens.of_pixel(x, y, SIZE).0;
             let code = response.code_of([seen, 0.8 * seen, 0.6 * seen]);
-            Code(code.map(|c| ((c * 255.0 + random.random_range(-1.5..1.5_f32)).round() / 255.0).clamp(0.0, 1.0)))
+            Code(
+                code.map(|c| {
+                    ((c * 255.0 + random.random_range(-1.5..1.5_f32)).round() / 255.0).clamp(0.0, 1.0)
+                }),
+            )
         })
     }
 
@@ -158,10 +171,14 @@ mod tests {
         for coefficients in [[0.0, 0.0, 0.0], [-0.3, 0.0, 0.0], [-0.45, 0.15, -0.05]] {
             let lens = Vignetting::given(coefficients).unwrap();
             let found =
-                Vignetting::estimate(&everywhere(&lens), &Response::srgb(), &config::Calibrate::default()).unwrap();
+                Vignetting::estimate(&everywhere(&lens), &Response::srgb(), &config::Calibrate::default())
+                    .unwrap();
             for r in [0.3, 0.6, 0.8, 1.0] {
                 let (off, sigma) = (found.at(r) - lens.at(r), found.sigma(r));
-                assert!(off.abs() < 0.02 && off.abs() < 3.0 * sigma, "{coefficients:?} at {r}: {off} ± {sigma}");
+                assert!(
+                    off.abs() < 0.02 && off.abs() < 3.0 * sigma,
+                    "{coefficients:?} at {r}: {off} ± {sigma}"
+                );
             }
         }
     }
