@@ -123,7 +123,7 @@ fn folder(path: &Path, file: &Path, printer: &Printer) -> Result<()> {
         }
     }
     printer.data(&format!(
-        "\n{}, {name}: {} views; published: rms {:.3} px\n{:<26}{:>20}{:>20}{:>34}{:>8}{:>12}{:>22}",
+        "\n{}, {name}: {} views; published: rms {:.3} px\n{:<26}{:>20}{:>20}{:>38}{:>8}{:>12}{:>26}",
         validate::name(path),
         views.len(),
         known.rms_px,
@@ -186,7 +186,7 @@ fn lens_row(name: &str, lens: &Intrinsics, rms_px: f64, known: &Known, ms: &[f64
         format!("{middle:.1} ({least:.1}–{most:.1})")
     };
     printer.data(&format!(
-        "{name:<26}{:>20}{:>20}{:>34}{rms_px:>8.3}{:>12.3}{time:>22}",
+        "{name:<26}{:>20}{:>20}{:>38}{rms_px:>8.3}{:>12.3}{time:>26}",
         format!("{f:.2} {g:.2}"),
         format!("{x:.2} {y:.2}"),
         format!("{k1:.3} {k2:.3} {p1:.4} {p2:.4} {k3:.3}"),

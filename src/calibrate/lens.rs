@@ -7,9 +7,9 @@ use crate::vision::BoardView;
 
 /// A part of the lens model is dropped when it is below this many standard deviations.
 const SIGNIFICANT: f64 = 3.0;
-/// Poses that tell the focal length worse than this are refused ([`Bundle::condition`]): boards tilted by 30° reach 25, boards tilted
-/// by 3° 100.
-pub(super) const MAX_CONDITION: f64 = 60.0;
+/// Poses that tell the focal length worse than this are refused ([`Bundle::condition`]): boards that fill the
+/// picture tilted by 30° reach 25, small ones 50, boards tilted by 3° 100.
+pub(super) const MAX_CONDITION: f64 = 80.0;
 /// A focal length less certain than this is refused.
 const MAX_RELATIVE_SIGMA: f64 = 0.02;
 /// Views whose corners fit worse than this many times the median are left out.
