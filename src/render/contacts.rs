@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 /// Vertices so far above the lowest one touch, too, as a share of the object's height.
 const TOUCHING: f32 = 0.005;
 /// Points at most.
-const MOST: usize = 16;
+const MOST: usize = 8;
 
 /// A contact point as the camera sees it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
