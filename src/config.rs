@@ -140,6 +140,8 @@ settings! {
         smoothness: f64 = 1000.0,
         /// Vignetting a, b, c of 1 + a r² + b r⁴ + c r⁶, r in half diagonals; zeros for none or that of role `flat`.
         vignetting: [f64; 3] = [0.0; 3],
+        /// Where neither coefficients nor a flat field are given: estimate it from the paper of the photographs of role `grid`.
+        estimate_vignetting: bool = false,
         /// Seed of the order in which equally good sample positions are taken, and of the band.
         seed: u64 = 0,
     }
@@ -183,6 +185,8 @@ settings! {
 settings! {
     /// The printed grid and how cameras are found.
     Calibrate {
+        /// What the printed grid is.
+        grid: Grid = Grid::Chessboard,
         /// Inner corners along the long and the short side.
         inner_corners: [u32; 2] = [7, 5],
         /// Side of a square, m.
@@ -192,10 +196,16 @@ settings! {
         /// Which corner of the grid carries the black disc that tells it from itself turned by 180°; `none` if there
         /// is no disc.
         disc: Disc = Disc::NegXNegY,
+        /// Cameras of another program, relative to this file: a folder with a model of COLMAP, or a project of fSpy.
+        import: Option<PathBuf> = None,
         /// Where the pose of the plate comes from.
         pose: PoseSource = PoseSource::Both,
         /// Accuracy of marked vanishing lines, px.
         mark_sigma_px: f64 = 0.5,
+        /// Whether marked lines along three directions tell the principal point, where no grid does.
+        solve_principal_point: bool = false,
+        /// Whether marked lines tell radial distortion, where no grid does.
+        plumb_lines: bool = false,
         /// Accuracy of the focal length that EXIF or settings state, as a share of it, where it is combined with that
         /// from vanishing lines.
         stated_focal_sigma: f64 = 0.04,
@@ -205,6 +215,41 @@ settings! {
         /// Refuse a calibration whose grid corners reproject worse than this, px.
         max_rms_px: f64 = 1.0,
     }
+}
+
+/// What the printed grid is.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Grid {
+    /// A chessboard, told from itself turned by its disc.
+    Chessboard,
+    /// A chessboard with markers in its white squares (ChArUco).
+    Charuco(CharucoGrid),
+    /// Markers in rows (an ArUco board).
+    Aruco(ArucoGrid),
+}
+
+/// The markers of a ChArUco board, in its white squares from the top left on.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CharucoGrid {
+    /// OpenCV's dictionary of markers.
+    pub dictionary: String,
+    /// Side of a marker, m.
+    pub marker_m: f64,
+    /// Number of the first one.
+    #[serde(default)]
+    pub first_id: u32,
+}
+
+/// A board of markers.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ArucoGrid {
+    /// OpenCV's dictionary of markers.
+    pub dictionary: String,
+    /// Its markers.
+    pub board: MarkerBoard,
 }
 
 /// Corner of the grid that carries the disc, in the grid's own frame (x along the long side).

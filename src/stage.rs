@@ -51,9 +51,9 @@ pub const STAGES: &[Stage] = &[
     },
     Stage {
         name: "response",
-        version: 2,
+        version: 3,
         reads: &["ingest"],
-        settings: &[],
+        settings: &["calibrate.inner_corners"],
         about: "fit the camera response curve",
     },
     Stage {
@@ -65,7 +65,7 @@ pub const STAGES: &[Stage] = &[
     },
     Stage {
         name: "calibrate",
-        version: 2,
+        version: 3,
         reads: &["ingest"],
         settings: &[],
         about: "find lens and camera poses",
@@ -107,7 +107,7 @@ pub const STAGES: &[Stage] = &[
     },
     Stage {
         name: "render",
-        version: 3,
+        version: 4,
         reads: &["ingest", "response", "merge", "calibrate", "model", "illuminate", "irradiance", "transfer"],
         settings: &[],
         about: "shade the object, evaluate the shadow method",

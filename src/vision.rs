@@ -95,16 +95,33 @@ pub fn chessboard_corners(image: &Image<u8>, inner: [u32; 2]) -> Result<Option<V
             }
         }
     }
-    let classic = calib3d::CALIB_CB_ADAPTIVE_THRESH | calib3d::CALIB_CB_NORMALIZE_IMAGE;
     for picture in &pictures {
-        if calib3d::find_chessboard_corners(picture, pattern, &mut corners, classic)? {
-            let window = refinement_window(&corners);
-            let none = Size::new(-1, -1);
-            imgproc::corner_sub_pix(picture, &mut corners, Size::new(window, window), none, stop()?)?;
-            return Ok(Some(points(&corners, 1.0)));
+        if let Some(corners) = classic(picture, pattern, refinement_window)? {
+            return Ok(Some(corners));
         }
     }
     Ok(None)
+}
+
+/// The same as OpenCV's sample `calibration` finds them: by the classic detector, refined within 11 px whatever the squares' size.
+pub fn sample_corners(image: &Image<u8>, inner: [u32; 2]) -> Result<Option<Vec<Point2<f64>>>, Problem> {
+    classic(&matrix(image)?, Size::new(inner[0] as i32, inner[1] as i32), |_| 11)
+}
+
+fn classic(
+    picture: &Mat,
+    pattern: Size,
+    window: impl Fn(&Vector<Point2f>) -> i32,
+) -> Result<Option<Vec<Point2<f64>>>, Problem> {
+    let flags = calib3d::CALIB_CB_ADAPTIVE_THRESH | calib3d::CALIB_CB_NORMALIZE_IMAGE;
+    let mut corners = Vector::<Point2f>::new();
+    if !calib3d::find_chessboard_corners(picture, pattern, &mut corners, flags)? {
+        return Ok(None);
+    }
+    let window = window(&corners);
+    let none = Size::new(-1, -1);
+    imgproc::corner_sub_pix(picture, &mut corners, Size::new(window, window), none, stop()?)?;
+    Ok(Some(points(&corners, 1.0)))
 }
 
 /// Length of the longer side to which small pictures are enlarged, px.
@@ -153,60 +170,15 @@ pub struct BoardView {
     pub pixels: Vec<Point2<f64>>,
 }
 
-/// What a lens model leaves free; a part that is not free is zero, central, or equal.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct FreeLens {
-    /// Two focal lengths instead of one.
-    pub aspect: bool,
-    /// Principal point off the image centre.
-    pub principal_point: bool,
-    /// k1, k2, k3.
-    pub radial: [bool; 3],
-    /// p1, p2.
-    pub tangential: bool,
-}
-
-impl FreeLens {
-    /// Everything free.
-    pub const ALL: Self = Self { aspect: true, principal_point: true, radial: [true; 3], tangential: true };
-
-    fn flags(self) -> i32 {
-        let when = |fixed: bool, flag: i32| if fixed { flag } else { 0 };
-        when(!self.aspect, calib3d::CALIB_FIX_ASPECT_RATIO)
-            | when(!self.principal_point, calib3d::CALIB_FIX_PRINCIPAL_POINT)
-            | when(!self.radial[0], calib3d::CALIB_FIX_K1)
-            | when(!self.radial[1], calib3d::CALIB_FIX_K2)
-            | when(!self.radial[2], calib3d::CALIB_FIX_K3)
-            | when(!self.tangential, calib3d::CALIB_ZERO_TANGENT_DIST)
-            | calib3d::CALIB_USE_INTRINSIC_GUESS
-    }
-}
-
-/// A calibrated lens, with standard deviations (0 for what was held).
-#[derive(Debug, Clone)]
-pub struct LensFit {
-    /// Inner orientation.
-    pub intrinsics: Intrinsics,
-    /// Of the focal lengths, px.
-    pub focal_sigma_px: [f64; 2],
-    /// Of the principal point, px.
-    pub principal_point_sigma_px: [f64; 2],
-    /// Of k1, k2, p1, p2, k3.
-    pub distortion_sigma: [f64; 5],
-    /// Reprojection error of all corners, rms of their distance, px.
-    pub rms_px: f64,
-    /// The same for each view.
-    pub view_rms_px: Vec<f64>,
-}
-
-/// Fits a lens to views of a board (Zhang 2000). `focal_px` starts the fit.
+/// OpenCV's own fit of a lens to views of a board, which insitu's is measured beside, and the rms of its residuals, px. `focal_px`
+/// starts it; `square`: pixels are known to be square.
 pub fn calibrate_lens(
     views: &[BoardView],
     width_px: u32,
     height_px: u32,
     focal_px: f64,
-    free: FreeLens,
-) -> Result<LensFit, Problem> {
+    square: bool,
+) -> Result<(Intrinsics, f64), Problem> {
     let board =
         views.iter().map(|v| v.board.iter().map(|p| Point3f::new(p.x as f32, p.y as f32, 0.0)).collect());
     let board: Vector<Vector<Point3f>> = board.collect();
@@ -216,9 +188,9 @@ pub fn calibrate_lens(
     let start = Intrinsics::pinhole(width_px, height_px, focal_px);
     let (mut matrix, mut distortion) = (camera_matrix(&start)?, distortion(&start)?);
     let (mut rotations, mut translations) = (Vector::<Mat>::new(), Vector::<Mat>::new());
-    let (mut sigma, mut view_sigma, mut view_rms) = (Mat::default(), Mat::default(), Mat::default());
+    let flags = calib3d::CALIB_USE_INTRINSIC_GUESS | if square { calib3d::CALIB_FIX_ASPECT_RATIO } else { 0 };
     let size = Size::new(width_px as i32, height_px as i32);
-    let rms_px = calib3d::calibrate_camera_extended(
+    let rms_px = calib3d::calibrate_camera(
         &board,
         &pixels,
         size,
@@ -226,30 +198,51 @@ pub fn calibrate_lens(
         &mut distortion,
         &mut rotations,
         &mut translations,
-        &mut sigma,
-        &mut view_sigma,
-        &mut view_rms,
-        free.flags(),
-        stop()?,
+        flags,
+        TermCriteria::new(
+            opencv::core::TermCriteria_COUNT | opencv::core::TermCriteria_EPS,
+            30,
+            f64::EPSILON,
+        )?,
     )?;
-    let (k, d, s) = (numbers(&matrix, 9)?, numbers(&distortion, 5)?, numbers(&sigma, 9)?);
-    if !rms_px.is_finite() || k.iter().chain(&d).chain(&s).any(|v| !v.is_finite()) {
-        return Err(Problem::OpenCv("the calibration diverged".into()));
+    let (k, d) = (numbers(&matrix, 9)?, numbers(&distortion, 5)?);
+    let intrinsics = Intrinsics {
+        width_px,
+        height_px,
+        focal_px: [k[0], k[4]],
+        principal_point_px: [k[2] + HALF, k[5] + HALF],
+        distortion: [d[0], d[1], d[2], d[3], d[4]],
+    };
+    Ok((intrinsics, rms_px))
+}
+
+/// Corners moved to where the gradients around them ask for (Förstner and Gülch 1987), px; `window`: half its side, px.
+pub fn refined_corners(
+    image: &Image<u8>,
+    corners: &[Point2<f64>],
+    window: i32,
+) -> Result<Vec<Point2<f64>>, Problem> {
+    let theirs = |p: &Point2<f64>| Point2f::new((p.x - HALF) as f32, (p.y - HALF) as f32);
+    let within = |p: &Point2<f64>| {
+        let margin = f64::from(window) + 2.0;
+        p.x > margin
+            && p.y > margin
+            && p.x < image.width() as f64 - margin
+            && p.y < image.height() as f64 - margin
+    };
+    // OpenCV refuses all where one is outside.
+    let inside: Vec<usize> = (0..corners.len()).filter(|k| within(&corners[*k])).collect();
+    let mut moved: Vector<Point2f> = inside.iter().map(|k| theirs(&corners[*k])).collect();
+    let mut refined = vec![Point2::new(f64::NAN, f64::NAN); corners.len()];
+    if inside.is_empty() {
+        return Ok(refined);
     }
-    Ok(LensFit {
-        intrinsics: Intrinsics {
-            width_px,
-            height_px,
-            focal_px: [k[0], k[4]],
-            principal_point_px: [k[2] + HALF, k[5] + HALF],
-            distortion: [d[0], d[1], d[2], d[3], d[4]],
-        },
-        focal_sigma_px: [s[0], s[1]],
-        principal_point_sigma_px: [s[2], s[3]],
-        distortion_sigma: [s[4], s[5], s[6], s[7], s[8]],
-        rms_px,
-        view_rms_px: numbers(&view_rms, views.len())?,
-    })
+    let none = Size::new(-1, -1);
+    imgproc::corner_sub_pix(&matrix(image)?, &mut moved, Size::new(window, window), none, stop()?)?;
+    for (k, p) in inside.into_iter().zip(points(&moved, 1.0)) {
+        refined[k] = p;
+    }
+    Ok(refined)
 }
 
 /// The poses that a flat board can have, `camera_from_board`, the better fitting first: infinitesimal plane-based pose

@@ -27,6 +27,12 @@ fn main() -> std::process::ExitCode {
             return Err(Problem::OtherImage { image })
                 .doing(format!("reading {}", ctx.pipeline.annotations.display()));
         }
+        if let Some(from) = &settings.import {
+            let cameras = calibrate::imported(ctx, &capture, &here, from)?;
+            ctx.figure("focal_px", cameras.intrinsics.focal_px[0]);
+            ctx.figure("focal_source", "import");
+            return write(ctx, &cameras);
+        }
         let grids = greys(ctx, &capture, plate, capture.with_role(Role::Grid))?;
         let mut plate_grids = greys(ctx, &capture, plate, capture.with_role(Role::PlateWithGrid))?;
         // Edges are searched in it where none are marked.
@@ -62,18 +68,28 @@ fn main() -> std::process::ExitCode {
         ctx.figure("focal_from_lines_sigma_px", alone.map(|e| e.focal_sigma_px()));
         ctx.figure("principal_point_px", intrinsics.principal_point_px);
         ctx.figure("distortion", intrinsics.distortion);
+        ctx.figure("lens_condition", found.lens.as_ref().map(|l| l.fit.condition));
         ctx.figure("lens_rms_px", found.lens.as_ref().map(|l| l.fit.rms_px));
         ctx.figure("lens_parts_dropped", found.lens.as_ref().map(|l| l.dropped.join(", ")));
         ctx.figure("rms_px", found.plate.rms_px);
         ctx.figure("lines_rms_px", found.edge_rms_px);
-        ctx.figure("plate_position_sigma_m", found.plate.position_sigma_m);
-        ctx.figure("plate_rotation_sigma_deg", found.plate.rotation_sigma_rad.map(f64::to_degrees));
+        let covariance = found.plate.covariance.as_ref();
+        ctx.figure("plate_position_sigma_m", covariance.map(|c| c.position_sigma_m()));
+        ctx.figure(
+            "plate_rotation_sigma_deg",
+            covariance.map(|c| c.rotation_sigma_rad().map(f64::to_degrees)),
+        );
 
         let posed: BTreeMap<_, _> = here.iter().map(|p| (p.file.clone(), found.plate.clone())).collect();
         let cameras = Cameras::new(plate.file.clone(), posed, found.focal_sigma_px);
         let cameras = cameras.ok_or_else(|| Error::Bug("the plate has no pose".into()))?;
-        json::write(&ctx.output("cameras.json"), &cameras)
+        write(ctx, &cameras)
     })
+}
+
+fn write(ctx: &Context, cameras: &Cameras) -> Result<()> {
+    calibrate::export(ctx, cameras)?;
+    json::write(&ctx.output("cameras.json"), cameras)
 }
 
 /// Brightness of photographs; one of another size has another lens and is left out.

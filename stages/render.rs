@@ -56,6 +56,7 @@ fn main() -> std::process::ExitCode {
         ctx.figure("caster_triangles", frames.caster().occluder.triangles.len());
         ctx.figure("caster_error_m", f64::from(frames.caster().error_m));
 
+        json::write(&ctx.output("contacts.json"), &render::contacts(&object, cameras.posed_plate()))?;
         let frame = frames.first()?;
         report(ctx, &frame);
         write_layers(ctx, "", &frame)?;

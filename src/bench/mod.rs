@@ -8,6 +8,7 @@ mod cost;
 mod dome;
 mod frames;
 mod gpu;
+mod grids;
 mod growth;
 mod intensity;
 mod ldr;
@@ -81,8 +82,30 @@ pub enum Table {
     Blender,
     /// Response and merged radiance against the truth, beside OpenCV and pfstools; takes folders of exposures, too.
     Radiometry,
+    /// Lenses and poses from printed grids against known ones, time beside OpenCV; takes folders with `*_intrinsics.yml`, and
+    /// rendered captures.
+    Grids,
+    /// Response and merging on ten frames of 12 megapixels beside OpenCV: time and memory; takes folders, too.
+    MergeCost,
     /// How the response varies with samples, size, exposures and seed, against its own band; takes folders, too.
     Stability,
+}
+
+impl Table {
+    /// Folders of photographs have no settings, and some tables need none.
+    fn needs_settings(self) -> bool {
+        !matches!(
+            self,
+            Self::Radiometry
+                | Self::MergeCost
+                | Self::Grids
+                | Self::Stability
+                | Self::Vanishing
+                | Self::Volume
+                | Self::Model
+                | Self::Blender
+        )
+    }
 }
 
 /// What a plain `insitu bench` prints.
@@ -105,15 +128,8 @@ pub fn bench(
         });
     }
     let threads = std::thread::available_parallelism().map_or(1, |n| n.get());
-    // Folders of photographs have no settings, and some tables need none.
-    let others = tables.is_empty()
-        || tables.iter().any(|t| {
-            !matches!(
-                t,
-                Table::Radiometry | Table::Stability | Table::Vanishing | Table::Volume | Table::Model
-            )
-        });
-    let settings = if others { validate::settings_under(paths)? } else { Vec::new() };
+    let needed = tables.is_empty() || tables.iter().any(|t| t.needs_settings());
+    let settings = if needed { validate::settings_under(paths)? } else { Vec::new() };
     if let Some(folder) = pictures {
         std::fs::create_dir_all(folder).at("making a folder for pictures", folder)?;
     }
@@ -135,6 +151,8 @@ pub fn bench(
             Table::Methods => methods::print(&settings, frames, printer)?,
             Table::Subtractive => subtractive::print(&settings, environments, pictures, printer)?,
             Table::Radiometry => radiometry::print(paths, printer)?,
+            Table::Grids => grids::print(paths, printer)?,
+            Table::MergeCost => radiometry::print_cost(paths, printer)?,
             Table::Vanishing => vanishing::print(paths, printer)?,
             Table::Stability => radiometry::print_stability(paths, printer)?,
             Table::Occlusion => occlusion::print(&settings, frames, pictures, printer)?,
@@ -153,7 +171,7 @@ pub fn bench(
     Ok(())
 }
 
-/// Merges a folder of large frames by one program and prints seconds and peak memory: a process of the table `radiometry`.
+/// Merges a folder of large frames by one program and prints seconds and peak memory: a process of the table `merge-cost`.
 pub fn merge_cost(program: &str, folder: &Path, printer: &Printer) -> Result<()> {
     radiometry::merge_cost(program, folder, printer)
 }

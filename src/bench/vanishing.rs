@@ -3,7 +3,7 @@
 
 use super::spread;
 use crate::calibrate::manhattan;
-use crate::calibrate::vanishing::{self, Edge, RoomEdges, StatedFocal};
+use crate::calibrate::vanishing::{self, Edge, Inner, RoomEdges, StatedFocal};
 use crate::calibrate::{Problem, grey_of};
 use crate::config::Role;
 use crate::driver::validate;
@@ -175,7 +175,9 @@ fn one(folder: &Path, entry: &Entry, all: &mut Errors, printer: &Printer) -> Res
     let labelled = match entry.labelled() {
         None => "-".into(),
         Some(edges) => {
-            if let Ok(fit) = vanishing::fit_edges(&edges, centre, diagonal, LABEL_SIGMA_PX, Some(known)) {
+            if let Ok(fit) =
+                vanishing::fit_edges(&edges, centre, diagonal, LABEL_SIGMA_PX, Some(known), Inner::default())
+            {
                 all.of_labels
                     .extend(angles_to(fit.room.camera_from_room.matrix(), &entry.vp_orthogonal_columns));
             }

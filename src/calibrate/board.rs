@@ -1,7 +1,11 @@
 //! The printed grid in one photograph: its corners, numbered the right way round.
 
+mod markers;
+
+pub(super) use markers::check;
+
 use super::Problem;
-use crate::config::{self, Disc};
+use crate::config::{self, Disc, Grid};
 use crate::image::Image;
 use crate::vision::{self, BoardView};
 use nalgebra::{DMatrix, Matrix3, Point2, Vector3};
@@ -23,8 +27,16 @@ pub fn corner_positions(settings: &config::Calibrate) -> Vec<Point2<f64>> {
     (0..nx * ny).map(|k| Point2::new(at(k % nx, nx), at(k / nx, ny))).collect()
 }
 
-/// Finds the grid. Seen from its front, but possibly turned by 180°: enough to calibrate a lens.
+/// Finds the grid. A chessboard is seen from its front, but possibly turned by 180°: enough to calibrate a lens.
 pub fn find(image: &Image<u8>, settings: &config::Calibrate) -> Result<BoardView, Problem> {
+    match &settings.grid {
+        Grid::Chessboard => chessboard(image, settings),
+        Grid::Charuco(grid) => markers::charuco(image, grid, settings),
+        Grid::Aruco(grid) => markers::aruco(image, grid),
+    }
+}
+
+fn chessboard(image: &Image<u8>, settings: &config::Calibrate) -> Result<BoardView, Problem> {
     let [nx, ny] = settings.inner_corners;
     let found = vision::chessboard_corners(image, settings.inner_corners)?;
     let mut pixels = found.ok_or(Problem::GridNotFound { inner: [nx, ny] })?;
@@ -38,9 +50,12 @@ pub fn find(image: &Image<u8>, settings: &config::Calibrate) -> Result<BoardView
     Ok(BoardView { board: corner_positions(settings), pixels })
 }
 
-/// Finds the grid, turned the right way by its disc; without a disc, with its x axis to the right in the picture.
+/// Finds the grid, turned the right way by its disc or markers; without either, with its x axis to the right in the picture.
 pub fn find_oriented(image: &Image<u8>, settings: &config::Calibrate) -> Result<BoardView, Problem> {
     let mut view = find(image, settings)?;
+    if settings.grid != Grid::Chessboard {
+        return Ok(view);
+    }
     let turned = match settings.disc {
         Disc::None => {
             let nx = settings.inner_corners[0] as usize;
@@ -112,7 +127,7 @@ fn bilinear(image: &Image<u8>, x: f64, y: f64) -> Option<f64> {
 }
 
 /// Plane to picture by the direct linear transform (Hartley and Zisserman 2004, §4.1); good to a fraction of a square.
-fn homography(view: &BoardView) -> Option<Matrix3<f64>> {
+pub(super) fn homography(view: &BoardView) -> Option<Matrix3<f64>> {
     let n = view.board.len();
     let unit = view.board.iter().map(|p| p.coords.norm()).fold(0.0, f64::max);
     let centre = view.pixels.iter().map(|p| p.coords).sum::<nalgebra::Vector2<f64>>() / n as f64;

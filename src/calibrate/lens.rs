@@ -1,10 +1,15 @@
 //! Inner orientation from photographs of the grid, with no more distortion than the data show.
 
 use super::Problem;
-use crate::vision::{self, BoardView, FreeLens, LensFit};
+use super::bundle::{self, Bundle, FreeLens};
+use crate::camera::Intrinsics;
+use crate::vision::BoardView;
 
 /// A part of the lens model is dropped when it is below this many standard deviations.
 const SIGNIFICANT: f64 = 3.0;
+/// Poses that tell the focal length worse than this are refused ([`Bundle::condition`]): boards that fill the
+/// picture tilted by 30° reach 25, small ones 50, boards tilted by 3° 100.
+pub(super) const MAX_CONDITION: f64 = 80.0;
 /// A focal length less certain than this is refused.
 const MAX_RELATIVE_SIGMA: f64 = 0.02;
 /// Views whose corners fit worse than this many times the median are left out.
@@ -14,7 +19,7 @@ const OUTLYING_VIEW: f64 = 4.0;
 #[derive(Debug, Clone)]
 pub struct Lens {
     /// The fit.
-    pub fit: LensFit,
+    pub fit: Bundle,
     /// Parts of the lens model found insignificant.
     pub dropped: Vec<&'static str>,
     /// Indices of views left out as outliers.
@@ -32,9 +37,10 @@ pub fn fit(
     if views.len() < 3 {
         return Err(Problem::FewGrids { found: views.len() });
     }
-    let start = focal_px.unwrap_or(f64::from(width_px.max(height_px)));
-    let calibrate =
-        |views: &[BoardView], free| vision::calibrate_lens(views, width_px, height_px, start, free);
+    let found = || bundle::first_focal_px(views, width_px, height_px);
+    let start = focal_px.or_else(found).unwrap_or(f64::from(width_px.max(height_px)));
+    let start = Intrinsics::pinhole(width_px, height_px, start);
+    let calibrate = |views: &[BoardView], free| bundle::fit(views, &start, free);
     let mut free = FreeLens::ALL;
     let mut fit = calibrate(views, free)?;
     let mut sorted = fit.view_rms_px.clone();
@@ -55,21 +61,36 @@ pub fn fit(
         free = simpler;
         fit = calibrate(&kept, free)?;
     }
-    let relative = fit.focal_sigma_px[0].max(fit.focal_sigma_px[1]) / fit.intrinsics.focal_px[0];
+    if fit.condition.is_nan() || fit.condition > MAX_CONDITION {
+        return Err(Problem::PosesAlike { condition: fit.condition, limit: MAX_CONDITION });
+    }
+    let relative = focal_sigma_px(&fit) / fit.intrinsics.focal_px[0];
     if relative.is_nan() || relative > MAX_RELATIVE_SIGMA {
         return Err(Problem::FocalUncertain { relative, limit: MAX_RELATIVE_SIGMA });
     }
     Ok(Lens { fit, dropped, outliers })
 }
 
-fn insignificant(fit: &LensFit, free: FreeLens) -> Option<(&'static str, FreeLens)> {
+/// Of the focal lengths the larger standard deviation, px.
+fn focal_sigma_px(fit: &Bundle) -> f64 {
+    fit.sigma(0).max(fit.sigma(1))
+}
+
+impl Lens {
+    /// Standard deviation of the focal length, px.
+    pub fn focal_sigma_px(&self) -> f64 {
+        focal_sigma_px(&self.fit)
+    }
+}
+
+fn insignificant(fit: &Bundle, free: FreeLens) -> Option<(&'static str, FreeLens)> {
     let [k1, k2, p1, p2, k3] = could_be_zero(fit);
     let i = &fit.intrinsics;
     let [fx, fy] = i.focal_px;
-    let focal_sigma = fit.focal_sigma_px[0].max(fit.focal_sigma_px[1]);
+    let focal_sigma = focal_sigma_px(fit);
     let [cx, cy] = i.principal_point_px;
     let off = [cx - f64::from(i.width_px) / 2.0, cy - f64::from(i.height_px) / 2.0];
-    let central = (0..2).all(|k| off[k].abs() < SIGNIFICANT * fit.principal_point_sigma_px[k]);
+    let central = (0..2).all(|k| off[k].abs() < SIGNIFICANT * fit.sigma(2 + k));
     let [r1, r2, r3] = free.radial;
     if r3 && k3 {
         Some(("k3", FreeLens { radial: [r1, r2, false], ..free }))
@@ -89,6 +110,6 @@ fn insignificant(fit: &LensFit, free: FreeLens) -> Option<(&'static str, FreeLen
 }
 
 /// For each coefficient whether it could as well be zero.
-fn could_be_zero(fit: &LensFit) -> [bool; 5] {
-    std::array::from_fn(|k| fit.intrinsics.distortion[k].abs() < SIGNIFICANT * fit.distortion_sigma[k])
+fn could_be_zero(fit: &Bundle) -> [bool; 5] {
+    std::array::from_fn(|k| fit.intrinsics.distortion[k].abs() < SIGNIFICANT * fit.sigma(4 + k))
 }

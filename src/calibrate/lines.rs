@@ -3,8 +3,8 @@
 use super::vanishing::{self, EdgeFit, Placing, RoomEdges};
 use super::{PosedCamera, Problem, world_from_grid};
 use crate::annotations::{Axis, VanishingLines};
-use crate::camera::{Camera, Intrinsics};
-use nalgebra::{Isometry3, Point2, Translation3, UnitQuaternion};
+use crate::camera::{Camera, CameraCovariance, Intrinsics, LENS, POSE};
+use nalgebra::{DMatrix, Isometry3, Point2, Translation3, UnitQuaternion};
 
 /// Pixel as an ideal lens would have it.
 pub(super) fn undistorted(intrinsics: &Intrinsics, [x, y]: [f64; 2]) -> Point2<f64> {
@@ -46,22 +46,26 @@ pub fn pose_from_lines(
 ) -> Result<PosedCamera, Problem> {
     let principal = Point2::from(intrinsics.principal_point_px);
     let centre = vanishing::camera_centre(placing, fit.room.focal_px, principal, &fit.room.camera_from_room)?;
-    let sigma = vanishing::camera_centre_sigma(placing, fit, principal, sigma_px)?;
+    let (centre_by_all, of_all) = vanishing::camera_centre_errors(placing, fit, principal, sigma_px)?;
     let grid_from_camera = Isometry3::from_parts(
         Translation3::from(centre),
         UnitQuaternion::from_rotation_matrix(&fit.room.camera_from_room.inverse()),
     );
     let world_from_camera = world_from_grid() * grid_from_camera;
-    // Turns are known in the camera frame; in the world's they mix.
+    // Lens and pose by the focal length, the room's turn in the camera frame, and the marks.
+    let mut by_all = DMatrix::zeros(LENS + POSE, of_all.ncols());
+    by_all.view_mut((0, 0), (2, 1)).fill(1.0);
+    // Principal point and k1.
+    [(2, 4), (3, 5), (4, 6)].iter().for_each(|at| by_all[*at] = 1.0);
+    let turn = world_from_grid().rotation.to_rotation_matrix();
+    by_all.rows_mut(LENS, 3).copy_from(&(turn.matrix() * centre_by_all));
     let turn = world_from_camera.rotation.to_rotation_matrix();
-    let turn = turn.matrix();
-    let covariance = turn * fit.covariance.fixed_view::<3, 3>(1, 1) * turn.transpose();
+    by_all.view_mut((LENS + 3, 1), (3, 3)).copy_from(&-turn.matrix());
+    let covariance = &by_all * of_all * by_all.transpose();
     Ok(PosedCamera {
         camera: Camera { intrinsics: intrinsics.clone(), world_from_camera },
         rms_px: fit.rms_px,
-        // (x, y, z) of the room is (x, −z, y) of the world.
-        position_sigma_m: [sigma[0], sigma[2], sigma[1]],
-        rotation_sigma_rad: std::array::from_fn(|k| covariance[(k, k)].max(0.0).sqrt()),
+        covariance: Some(CameraCovariance::new(&covariance)),
         rival_rms_px: None,
     })
 }

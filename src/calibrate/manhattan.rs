@@ -2,7 +2,7 @@
 //! points that explain most of them (Coughlan and Yuille 1999), drawn at random from the segments themselves.
 
 use super::Problem;
-use super::vanishing::{Edge, EdgeFit, Room, RoomEdges, StatedFocal, Weighed};
+use super::vanishing::{Edge, EdgeFit, Inner, Room, RoomEdges, StatedFocal, Weighed};
 use crate::least_squares::Loss;
 use nalgebra::{Matrix3, Point2, Rotation3, Vector2, Vector3};
 use rand::rngs::SmallRng;
@@ -227,7 +227,8 @@ fn refine(
     let mut last = None;
     for _ in 0..turns {
         let (edges, along) = agreeing(&room, judges, centre, diagonal_px);
-        let weighed = Weighed { along, square_sigma: SQUARE_SIGMA, loss: Loss::Squares };
+        let weighed =
+            Weighed { along, square_sigma: SQUARE_SIGMA, loss: Loss::Squares, inner: Inner::default() };
         let fit = weighed.fit(room, centre, stated).ok()?;
         room = fit.room;
         last = Some((edges, fit));

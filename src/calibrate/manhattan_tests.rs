@@ -108,6 +108,7 @@ fn a_corridor_seen_along_its_axis_is_refused_with_its_condition_number() {
         DIAGONAL,
         0.5,
         None,
+        vanishing::Inner::default(),
     );
     assert!(
         matches!(

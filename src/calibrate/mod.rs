@@ -1,25 +1,31 @@
 //! Lens and camera poses, from the printed grid and from marked vanishing lines.
 
 pub mod board;
+pub mod bundle;
+pub mod exchange;
 pub mod lens;
 pub mod manhattan;
 pub mod pose;
 pub mod vanishing;
 
+#[cfg(test)]
+mod bundle_tests;
 mod lines;
 #[cfg(test)]
 mod manhattan_tests;
 mod problem;
 mod solve;
+mod stage;
 #[cfg(test)]
 mod tests;
 
 pub use lines::{edges_of, pose_from_lines};
 pub use problem::Problem;
 pub use solve::{Evidence, Solution, solve};
+pub use stage::{export, imported};
 
 use crate::artefact::json::JsonArtefact;
-use crate::camera::{Camera, Intrinsics};
+use crate::camera::{Camera, CameraCovariance, Intrinsics, LensCovariance};
 use crate::config;
 use crate::exposure::Photograph;
 use crate::image::{CodeImage, Image, RadianceImage};
@@ -34,10 +40,8 @@ pub struct PosedCamera {
     pub camera: Camera,
     /// Distance of the marks it was found from to their images, rms in px.
     pub rms_px: f64,
-    /// Standard deviation of its centre along the world's axes, m.
-    pub position_sigma_m: [f64; 3],
-    /// Standard deviation of its turn about the world's axes, rad.
-    pub rotation_sigma_rad: [f64; 3],
+    /// Covariance of lens and pose, where it is known; 0 of what is given.
+    pub covariance: Option<CameraCovariance>,
     /// The same error for the second solution of the planar ambiguity, where there is one.
     pub rival_rms_px: Option<f64>,
 }
@@ -67,7 +71,7 @@ pub struct Cameras {
 
 impl JsonArtefact for Cameras {
     const FORMAT: &'static str = "insitu-cameras";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
 
     fn check(&self) -> Result<(), String> {
         if !self.cameras.contains_key(&self.plate) {
@@ -96,7 +100,12 @@ impl Cameras {
 
     /// The camera of the plate, which [`Self::new`] and the reader make sure of.
     pub fn plate_camera(&self) -> &Camera {
-        &self.cameras[&self.plate].camera
+        &self.posed_plate().camera
+    }
+
+    /// The same with its accuracy.
+    pub fn posed_plate(&self) -> &PosedCamera {
+        &self.cameras[&self.plate]
     }
 }
 
@@ -125,7 +134,9 @@ pub fn grid_pose(
 ) -> Result<PosedCamera, Problem> {
     let board = board::find_oriented(image, settings)?;
     let boards = [board];
-    let view = pose::View { intrinsics, boards: &boards, corner_sigma_px: 0.0, edges: None };
+    let lens = LensCovariance::zeros();
+    let view =
+        pose::View { intrinsics, lens_covariance: &lens, boards: &boards, corner_sigma_px: 0.0, edges: None };
     let posed = pose::fit(&view)?.posed;
     if posed.rms_px > settings.max_rms_px {
         return Err(Problem::Reprojection { rms_px: posed.rms_px, limit_px: settings.max_rms_px });

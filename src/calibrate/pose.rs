@@ -2,15 +2,17 @@
 
 use super::vanishing::{self, RoomEdges};
 use super::{PosedCamera, Problem, world_from_grid};
-use crate::camera::{Camera, Intrinsics};
+use crate::camera::{self, Camera, CameraCovariance, Intrinsics, LENS, LensCovariance, POSE};
 use crate::least_squares::{self, Fit, Loss};
 use crate::vision::{self, BoardView};
-use nalgebra::{DVector, Isometry3, Point2, Point3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{DMatrix, DVector, Isometry3, Point2, Point3, SVector, Vector3};
 
 /// What is seen from one place.
 pub struct View<'a> {
     /// The lens.
     pub intrinsics: &'a Intrinsics,
+    /// How well the lens is known; 0 where it is not.
+    pub lens_covariance: &'a LensCovariance,
     /// The grid, in as many photographs as were taken from there.
     pub boards: &'a [BoardView],
     /// Accuracy of a corner along x or y, px; the fit's own scatter counts if it is larger.
@@ -59,11 +61,32 @@ pub fn fit(view: &View) -> Result<ViewPose, Problem> {
 
 /// Pose from 6 parameters: shift of the centre (world, m) and turn about it (world, rad), from a start.
 fn moved(start: &Isometry3<f64>, x: &[f64]) -> Isometry3<f64> {
-    let turn = UnitQuaternion::from_scaled_axis(Vector3::new(x[3], x[4], x[5]));
-    Isometry3::from_parts(
-        Translation3::from(start.translation.vector + Vector3::new(x[0], x[1], x[2])),
-        turn * start.rotation,
-    )
+    camera::moved(start, &SVector::<f64, POSE>::from_column_slice(x))
+}
+
+/// Covariance of lens and pose: that of the pose for a lens that is known, and how the pose follows the lens, on whose parameters
+/// the residuals of the fit depend by `by_lens`.
+fn covariance(fit: &Fit, by_lens: &DMatrix<f64>, lens: &LensCovariance) -> CameraCovariance {
+    let follows = fit.gain.rows(0, POSE) * by_lens;
+    let mut from_lens = DMatrix::identity(LENS + POSE, LENS);
+    from_lens.rows_mut(LENS, POSE).copy_from(&follows);
+    let mut all = &from_lens * lens * from_lens.transpose();
+    let mut of_pose = all.view_mut((LENS, LENS), (POSE, POSE));
+    of_pose += fit.covariance.view((0, 0), (POSE, POSE));
+    CameraCovariance::new(&all)
+}
+
+/// Differences of residuals by each parameter of the lens.
+fn by_lens(
+    lens: &Intrinsics,
+    residuals: impl Fn(&Intrinsics) -> Option<DVector<f64>>,
+) -> Option<DMatrix<f64>> {
+    let columns = (0..LENS).map(|k| {
+        let h = if k < 4 { 1e-3 } else { 1e-6 };
+        let by = SVector::<f64, LENS>::ith(k, h);
+        Some((residuals(&lens.changed(&by))? - residuals(&lens.changed(&-by))?) / (2.0 * h))
+    });
+    Some(DMatrix::from_columns(&columns.collect::<Option<Vec<_>>>()?))
 }
 
 fn names() -> Vec<String> {
@@ -87,8 +110,8 @@ fn fit_from(view: &View, start: Isometry3<f64>) -> Result<(f64, ViewPose), Probl
         .flat_map(|b| b.board.iter().zip(&b.pixels))
         .map(|(b, p)| (world_from_grid() * Point3::new(b.x, b.y, 0.0), *p))
         .collect();
-    let corner_errors = |pose: &Isometry3<f64>| -> Option<Vec<f64>> {
-        let camera = Camera { intrinsics: view.intrinsics.clone(), world_from_camera: *pose };
+    let corner_errors = |lens: &Intrinsics, pose: &Isometry3<f64>| -> Option<Vec<f64>> {
+        let camera = Camera { intrinsics: lens.clone(), world_from_camera: *pose };
         let mut errors = Vec::with_capacity(2 * world.len());
         for (point, pixel) in &world {
             let e = camera.project(point)? - pixel;
@@ -96,30 +119,36 @@ fn fit_from(view: &View, start: Isometry3<f64>) -> Result<(f64, ViewPose), Probl
         }
         Some(errors)
     };
-    let alone = |x: &DVector<f64>| corner_errors(&moved(&start, x.as_slice())).map(DVector::from_vec);
-    let grid_fit = least_squares::minimise(&alone, &names(), &[0.0; 6], Loss::Squares)?;
-    let posed = |fit: &Fit, start: &Isometry3<f64>| -> Option<PosedCamera> {
-        let world_from_camera = moved(start, fit.parameters.as_slice());
-        let errors = corner_errors(&world_from_camera)?;
+    let alone = |lens: &Intrinsics, x: &DVector<f64>| {
+        corner_errors(lens, &moved(&start, x.as_slice())).map(DVector::from_vec)
+    };
+    let grid_fit = least_squares::minimise(
+        &|x: &DVector<f64>| alone(view.intrinsics, x),
+        &names(),
+        &[0.0; POSE],
+        Loss::Squares,
+    )?;
+    let posed = |fit: &Fit, start: &Isometry3<f64>, by_lens: &DMatrix<f64>| -> Option<PosedCamera> {
+        let world_from_camera = moved(start, &fit.parameters.as_slice()[..POSE]);
+        let errors = corner_errors(view.intrinsics, &world_from_camera)?;
         let rms_px = (errors.iter().map(|e| e * e).sum::<f64>() / world.len() as f64).sqrt();
         Some(PosedCamera {
             camera: Camera { intrinsics: view.intrinsics.clone(), world_from_camera },
             rms_px,
-            position_sigma_m: std::array::from_fn(|k| fit.sigma(k)),
-            rotation_sigma_rad: std::array::from_fn(|k| fit.sigma(k + 3)),
+            covariance: Some(covariance(fit, by_lens, view.lens_covariance)),
             rival_rms_px: None,
         })
     };
     let Some((edges, edge_sigma)) = view.edges else {
-        let posed = posed(&grid_fit, &start).ok_or(Problem::NoPose)?;
+        let by_lens = by_lens(view.intrinsics, |lens| alone(lens, &grid_fit.parameters));
+        let posed = by_lens.and_then(|by| posed(&grid_fit, &start, &by)).ok_or(Problem::NoPose)?;
         return Ok((grid_fit.cost(), ViewPose { posed, room_yaw: None, edge_rms_px: None }));
     };
 
     let start = moved(&start, grid_fit.parameters.as_slice());
     let corner_sigma = view.corner_sigma_px.max(grid_fit.rms);
-    let [f, g] = view.intrinsics.focal_px;
-    let [cx, cy] = view.intrinsics.principal_point_px;
-    let edge_errors = |pose: &Isometry3<f64>, yaw: f64| -> Vec<f64> {
+    let edge_errors = |lens: &Intrinsics, pose: &Isometry3<f64>, yaw: f64| -> Vec<f64> {
+        let ([f, g], [cx, cy]) = (lens.focal_px, lens.principal_point_px);
         let (sin, cos) = yaw.sin_cos();
         let room = [Vector3::new(cos, sin, 0.0), Vector3::new(-sin, cos, 0.0), Vector3::z()];
         let vanishing = room.map(|d| {
@@ -131,22 +160,28 @@ fn fit_from(view: &View, start: Isometry3<f64>) -> Result<(f64, ViewPose), Probl
     };
     // Huber's cost of the edges alone finds the room's turn; the directions have no sign.
     let cost = |yaw: f64| -> f64 {
-        let errors = edge_errors(&start, yaw);
+        let errors = edge_errors(view.intrinsics, &start, yaw);
         errors.iter().map(|e| (e / edge_sigma).abs().min(100.0)).sum()
     };
     let turns = (0..180).map(|k| f64::from(k).to_radians());
     let yaw = turns.min_by(|a, b| cost(*a).total_cmp(&cost(*b))).unwrap_or(0.0);
-    let residuals = |x: &DVector<f64>| {
-        let pose = moved(&start, &x.as_slice()[..6]);
-        let mut r = corner_errors(&pose)?;
+    let residuals = |lens: &Intrinsics, x: &DVector<f64>| {
+        let pose = moved(&start, &x.as_slice()[..POSE]);
+        let mut r = corner_errors(lens, &pose)?;
         r.iter_mut().for_each(|e| *e /= corner_sigma);
-        r.extend(edge_errors(&pose, x[6]).iter().map(|e| e / edge_sigma));
+        r.extend(edge_errors(lens, &pose, x[POSE]).iter().map(|e| e / edge_sigma));
         Some(DVector::from_vec(r))
     };
     let first = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, yaw];
-    let fit = least_squares::minimise(&residuals, &names(), &first, Loss::Huber(vanishing::ROBUST))?;
-    let posed = posed(&fit, &start).ok_or(Problem::NoPose)?;
-    let errors = edge_errors(&posed.camera.world_from_camera, fit.parameters[6]);
+    let fit = least_squares::minimise(
+        &|x: &DVector<f64>| residuals(view.intrinsics, x),
+        &names(),
+        &first,
+        Loss::Huber(vanishing::ROBUST),
+    )?;
+    let by_lens = by_lens(view.intrinsics, |lens| residuals(lens, &fit.parameters));
+    let posed = by_lens.and_then(|by| posed(&fit, &start, &by)).ok_or(Problem::NoPose)?;
+    let errors = edge_errors(view.intrinsics, &posed.camera.world_from_camera, fit.parameters[POSE]);
     let edge_rms_px = (errors.iter().map(|e| e * e).sum::<f64>() / errors.len().max(1) as f64).sqrt();
-    Ok((fit.cost(), ViewPose { posed, room_yaw: Some(fit.parameters[6]), edge_rms_px: Some(edge_rms_px) }))
+    Ok((fit.cost(), ViewPose { posed, room_yaw: Some(fit.parameters[POSE]), edge_rms_px: Some(edge_rms_px) }))
 }

@@ -29,6 +29,33 @@ pub enum Problem {
         /// How many.
         found: usize,
     },
+    /// The boards' poses do not tell the lens.
+    #[error(
+        "the photographs of the grid are too much alike to tell the lens from its poses (condition number {condition:.0}, at most \
+         {limit:.0} is allowed)"
+    )]
+    PosesAlike {
+        /// By how many times the poses make the focal length worse known.
+        condition: f64,
+        /// Largest acceptable.
+        limit: f64,
+    },
+    /// A grid of markers that cannot be.
+    #[error("`calibrate.grid` has {what}")]
+    NotAGrid {
+        /// What is wrong.
+        what: String,
+    },
+    /// Hardly anything of a grid of markers is seen.
+    #[error("{found} of the grid's {of} corners are seen, {needed} are needed")]
+    FewCorners {
+        /// Corners seen.
+        found: usize,
+        /// Corners there are.
+        of: usize,
+        /// Corners needed.
+        needed: usize,
+    },
     /// The focal length is not determined.
     #[error("the focal length is known to {:.1} % only (limit {:.0} %)", 100.0 * relative, 100.0 * limit)]
     FocalUncertain {
@@ -48,6 +75,16 @@ pub enum Problem {
         relative: f64,
         /// Relative change by a departure from right angles, 1/rad.
         condition: f64,
+    },
+    /// The vanishing points leave the principal point open.
+    #[error(
+        "these vanishing points alone do not fix the principal point: it is known to {sigma_px:.0} px only (limit {limit_px:.0} px)"
+    )]
+    CentreOpen {
+        /// Its standard deviation.
+        sigma_px: f64,
+        /// Largest acceptable.
+        limit_px: f64,
     },
     /// No room is seen.
     #[error(
@@ -123,6 +160,24 @@ pub enum Problem {
         /// Length with the origin at depth 1.
         relative_length: f64,
     },
+    /// Another program's cameras lack the plate.
+    #[error("there is no camera of {plate} among them")]
+    NotImported {
+        /// File name of the plate.
+        plate: String,
+    },
+    /// Another program saw a picture of another size.
+    #[error(
+        "the camera of {plate} is one of {}×{} px, the photograph has {}×{} px", theirs_px[0], theirs_px[1], plate_px[0], plate_px[1]
+    )]
+    OtherSize {
+        /// File name of the plate.
+        plate: String,
+        /// Size of the plate.
+        plate_px: [u32; 2],
+        /// Size that the camera has.
+        theirs_px: [u32; 2],
+    },
     /// The lines are marked elsewhere.
     #[error("the vanishing lines are marked in {image}, which was not taken from the plate's place")]
     OtherImage {
@@ -147,9 +202,21 @@ impl crate::error::Problem for Problem {
                 "show the grid with its margin, or set `calibrate.disc = \"none\"`".into()
             }
             Self::FewGrids { .. } => "photograph the grid from at least 3, better 10, sides".into(),
+            Self::PosesAlike { .. } => {
+                "photograph the grid tilted by 30° and more to several sides, near and far, in all parts of the picture".into()
+            }
+            Self::NotAGrid { .. } => "measure the printed grid again, in metres".into(),
+            Self::FewCorners { .. } => {
+                "show more of the grid, sharp and larger, and check dictionary, counts and `first_id` of `calibrate.grid`".into()
+            }
             Self::FocalOpen { .. } => {
                 "state the focal length (EXIF, or `ingest.focal_mm` and `ingest.sensor_width_mm`), or use a photograph that \
                  shows two directions in perspective"
+                    .into()
+            }
+            Self::CentreOpen { .. } => {
+                "mark edges along three directions that are all seen in perspective, or take the principal point as central \
+                 (`calibrate.solve_principal_point = false`)"
                     .into()
             }
             Self::NoRoom { .. } => {
@@ -182,6 +249,8 @@ impl crate::error::Problem for Problem {
             }
             Self::NoFloor => "mark `origin` and `scale` under [vanishing_lines]".into(),
             Self::ScaleMarks { .. } => "mark the length from a point on the floor, along its axis".into(),
+            Self::NotImported { .. } => "let the other program see the plate, too, under its file name".into(),
+            Self::OtherSize { .. } => "give the other program the photograph as it is here, neither cropped nor scaled".into(),
             Self::OtherImage { .. } => "mark them in the plate".into(),
             Self::Fit(e) => e.hint(),
             Self::Vision(e) => e.hint(),

@@ -1,9 +1,9 @@
 //! The whole calibration: which evidence there is decides what lens and pose come from.
 
-use super::vanishing::{self, Edge, EdgeFit, Placing, RoomEdges, StatedFocal};
+use super::vanishing::{self, Edge, EdgeFit, Inner, Placing, RoomEdges, StatedFocal};
 use super::{PosedCamera, Problem, board, edges_of, lens, lines, manhattan, pose, pose_from_lines};
 use crate::annotations::VanishingLines;
-use crate::camera::Intrinsics;
+use crate::camera::{Intrinsics, LensCovariance, focal_alone};
 use crate::config::{self, PoseSource};
 use crate::image::Image;
 use crate::vision::{self, BoardView};
@@ -47,11 +47,14 @@ pub struct Solution {
     pub warnings: Vec<String>,
 }
 
+/// Distortion of fewer standard deviations is taken as none.
+const SIGNIFICANT: f64 = 3.0;
 /// Lines that miss their vanishing points by more than this many standard deviations of a mark (rms) are refused.
 const MAX_EDGE_SIGMA: f64 = 6.0;
 
 /// Finds the lens, then the plate's pose.
 pub fn solve(evidence: &Evidence, settings: &config::Calibrate) -> Result<Solution, Problem> {
+    board::check(settings)?;
     let mut warnings = Vec::new();
     let lens = fit_lens(evidence, settings, &mut warnings);
     let (width, height) = (evidence.width_px, evidence.height_px);
@@ -74,28 +77,42 @@ pub fn solve(evidence: &Evidence, settings: &config::Calibrate) -> Result<Soluti
             .map(|_| StatedFocal { focal_px: intrinsics.focal_px[0], relative_sigma: SURE });
         search(plate, &intrinsics, diagonal, known.or(stated))
     });
+    let asked = Inner { principal_point: settings.solve_principal_point, distortion: settings.plumb_lines };
+    let mut insignificant = None;
     let edge_fit = marked.as_ref().map(|edges| {
         let stated = stated.filter(|_| lens.is_err());
         let sigma_px = settings.mark_sigma_px;
-        let fit = vanishing::fit_edges(edges, centre, diagonal, sigma_px, stated)?;
+        // A lens from the grid needs no more.
+        let inner = if lens.is_ok() { Inner::default() } else { asked };
+        let mut fit = vanishing::fit_edges(edges, centre, diagonal, sigma_px, stated, inner)?;
+        if inner.distortion && fit.k1.abs() < SIGNIFICANT * fit.k1_sigma() {
+            insignificant = Some(format!(
+                "the lines show no distortion that is significant: k1 = {:.3} ± {:.3} is taken as 0",
+                fit.k1,
+                fit.k1_sigma()
+            ));
+            let inner = Inner { distortion: false, ..inner };
+            fit = vanishing::fit_edges(edges, centre, diagonal, sigma_px, stated, inner)?;
+        }
         let limit_px = MAX_EDGE_SIGMA * settings.mark_sigma_px;
         if fit.rms_px > limit_px {
             return Err(Problem::EdgesDisagree { rms_px: fit.rms_px, limit_px });
         }
         Ok(fit)
     });
+    warnings.extend(insignificant);
     if let Some(Ok(found)) = &found {
         warnings.push(found.told());
     }
     let edge_fit = edge_fit.or(found.map(|found| found.and_then(|f| f.fit.certain())));
 
     let (focal_source, focal_sigma_px, lens) = match (lens, &edge_fit) {
-        (Ok(lens), _) => {
-            ("grid", Some(lens.fit.focal_sigma_px[0].max(lens.fit.focal_sigma_px[1])), Some(lens))
-        }
+        (Ok(lens), _) => ("grid", Some(lens.focal_sigma_px()), Some(lens)),
         (Err(problem), Some(Ok(fit))) => {
             warnings.push(format!("focal length from the vanishing lines, not from the grid: {problem}"));
             intrinsics.focal_px = [fit.room.focal_px; 2];
+            intrinsics.principal_point_px = [fit.centre.x, fit.centre.y];
+            intrinsics.distortion = [fit.k1, 0.0, 0.0, 0.0, 0.0];
             let source = match stated {
                 Some(stated) => {
                     warnings.extend(disagreement(&stated, marked.as_ref(), settings, &intrinsics));
@@ -151,7 +168,12 @@ pub fn solve(evidence: &Evidence, settings: &config::Calibrate) -> Result<Soluti
                 }
                 boards => {
                     let edges = marked.as_ref().filter(|_| source == PoseSource::Both);
-                    let found = from_grid(&boards?, &intrinsics, lens.as_ref(), edges, settings)?;
+                    let alone = focal_sigma_px.or(stated.map(|s| s.relative_sigma * s.focal_px));
+                    let of_lens = match &lens {
+                        Some(lens) => lens.fit.covariance,
+                        None => focal_alone(alone.unwrap_or(0.0)),
+                    };
+                    let found = from_grid(&boards?, &intrinsics, &of_lens, lens.as_ref(), edges, settings)?;
                     (found.posed, found.edge_rms_px)
                 }
             }
@@ -264,12 +286,14 @@ fn plate_boards(
 fn from_grid(
     boards: &[BoardView],
     intrinsics: &Intrinsics,
+    lens_covariance: &LensCovariance,
     lens: Option<&lens::Lens>,
     edges: Option<&RoomEdges>,
     settings: &config::Calibrate,
 ) -> Result<pose::ViewPose, Problem> {
     let view = pose::View {
         intrinsics,
+        lens_covariance,
         boards,
         corner_sigma_px: lens.map_or(0.0, |lens| lens.fit.rms_px / 2f64.sqrt()),
         edges: edges.map(|edges| (edges, settings.mark_sigma_px)),

@@ -1,9 +1,10 @@
 //! Hard cases: vanishing lines that do not tell the focal length, grids seen badly.
 
 use super::vanishing::{
-    Edge, RoomEdges, StatedFocal, edge_residual, fit_edges, focal_from_edges, vanishing_point,
+    Edge, EdgeFit, Inner, RoomEdges, StatedFocal, edge_residual, fit_edges, focal_from_edges, vanishing_point,
 };
 use super::*;
+use crate::camera::LENS;
 use crate::vision::BoardView;
 use nalgebra::{Point2, Point3, Rotation3};
 use proptest::prelude::*;
@@ -131,7 +132,13 @@ proptest! {
         let board = board::corner_positions(&settings);
         let see = |p: &Point2<f64>| camera.project(&(world_from_grid() * Point3::new(p.x, p.y, 0.0))).unwrap();
         let boards = [BoardView { pixels: board.iter().map(see).collect(), board }];
-        let view = pose::View { intrinsics: &camera.intrinsics, boards: &boards, corner_sigma_px: 0.1, edges: None };
+        let view = pose::View {
+            intrinsics: &camera.intrinsics,
+            lens_covariance: &LensCovariance::zeros(),
+            boards: &boards,
+            corner_sigma_px: 0.1,
+            edges: None,
+        };
         let posed = pose::fit(&view).unwrap().posed;
         prop_assert!((posed.camera.centre().coords - from).norm() < 1e-6);
         prop_assert!(posed.rms_px < 1e-6);
@@ -139,7 +146,7 @@ proptest! {
 }
 
 /// A rendered grid: box-filtered, with its disc.
-fn picture(camera: &Camera, disc: bool, hidden: bool) -> Image<u8> {
+pub(super) fn picture(camera: &Camera, disc: bool, hidden: bool) -> Image<u8> {
     let ground = |x: f64, y: f64| -> f64 {
         let ray = camera.ray(&Point2::new(x, y));
         let p = ray.origin + ray.direction.into_inner() * (-ray.origin.y / ray.direction.y);
@@ -163,7 +170,7 @@ fn picture(camera: &Camera, disc: bool, hidden: bool) -> Image<u8> {
     })
 }
 
-fn above(from: [f64; 3]) -> Camera {
+pub(super) fn above(from: [f64; 3]) -> Camera {
     let from = Vector3::from(from);
     let z = -from.normalize();
     let x = z.cross(&Vector3::y()).normalize();
@@ -243,12 +250,123 @@ fn lines_origin_and_scale_alone_give_the_pose() {
     assert!(matches!(solve(&evidence, &settings), Err(Problem::NoFocal)));
 }
 
+/// Marks of a room seen by [`above`], each end off by normal noise of a standard deviation, px.
+fn noisy_marks(camera: &Camera, sigma: f64, seed: u64) -> crate::annotations::VanishingLines {
+    use crate::annotations::{Axis, Scale, VanishingLines};
+    use rand::{Rng, SeedableRng, rngs::SmallRng};
+    let random = std::cell::RefCell::new(SmallRng::seed_from_u64(seed));
+    let normal = || (0..12).map(|_| random.borrow_mut().random_range(-0.5..0.5_f64)).sum::<f64>();
+    let see = |p: Vector3<f64>| {
+        let p = camera.project(&(world_from_grid() * Point3::from(p))).unwrap();
+        [p.x + sigma * normal(), p.y + sigma * normal()]
+    };
+    let starts = [
+        [-0.4, -0.3, 0.0],
+        [0.2, 0.1, 0.0],
+        [0.0, -0.5, 0.3],
+        [-0.2, 0.3, 0.2],
+        [0.4, -0.2, 0.1],
+        [-0.5, 0.0, 0.4],
+        [0.1, 0.4, 0.05],
+        [-0.1, -0.1, 0.35],
+    ];
+    let lines = |k: usize| {
+        let line = |s: &[f64; 3]| {
+            let (a, b) = (see(Vector3::from(*s)), see(Vector3::from(*s) + Vector3::ith(k, 0.5)));
+            [a[0], a[1], b[0], b[1]]
+        };
+        starts.iter().map(line).collect()
+    };
+    let (from, to) = (see(Vector3::new(0.3, -0.2, 0.0)), see(Vector3::new(0.3, -0.2, 0.4)));
+    VanishingLines {
+        image: "plate.jpg".into(),
+        x: lines(0),
+        y: lines(1),
+        z: lines(2),
+        origin: Some(see(Vector3::zeros())),
+        scale: Some(Scale { from, to, axis: Axis::Z, length_m: 0.4 }),
+    }
+}
+
+/// 100 draws of marks with 0.5 px noise: no bias, and squared errors over what the covariance says as χ² has them.
+#[test]
+fn cameras_from_noisy_lines_are_unbiased_and_as_uncertain_as_they_say() {
+    const DRAWS: u64 = 100;
+    let camera = above([1.5, 1.2, 2.0]);
+    let settings = config::Calibrate { pose: config::PoseSource::VanishingLines, ..Default::default() };
+    // Of the focal length, the centre, the turn: errors over deviations, their squares over degrees of freedom.
+    let (mut off, mut squares) = ([0.0; 7], [0.0; 3]);
+    for seed in 0..DRAWS {
+        let lines = noisy_marks(&camera, 0.5, seed);
+        let evidence = Evidence {
+            width_px: 640,
+            height_px: 480,
+            grids: &[],
+            plate_grids: &[],
+            stated_focal_px: None,
+            lines: Some(&lines),
+            plate: None,
+        };
+        let found = solve(&evidence, &settings).unwrap().plate;
+        let covariance = found.covariance.unwrap();
+        let pose = &found.camera.world_from_camera;
+        let shift = pose.translation.vector - camera.world_from_camera.translation.vector;
+        let turn = (pose.rotation * camera.world_from_camera.rotation.inverse()).scaled_axis();
+        let focal = found.camera.intrinsics.focal_px[0] - 600.0;
+        let errors = [focal, shift.x, shift.y, shift.z, turn.x, turn.y, turn.z];
+        let sigmas = [0, 9, 10, 11, 12, 13, 14].map(|k| covariance.sigma(k));
+        (0..7).for_each(|k| off[k] += errors[k] / sigmas[k] / DRAWS as f64);
+        squares[0] += (focal / sigmas[0]).powi(2) / DRAWS as f64;
+        for (part, (at, error)) in [(LENS, shift), (LENS + 3, turn)].into_iter().enumerate() {
+            let own = covariance.0.fixed_view::<3, 3>(at, at).clone_owned();
+            let inverse = own.try_inverse().unwrap();
+            squares[part + 1] += (error.transpose() * inverse * error)[0] / 3.0 / DRAWS as f64;
+        }
+    }
+    // Three standard errors of a mean of 100.
+    assert!(off.iter().all(|z| z.abs() < 0.3), "biased: {off:?}");
+    assert!(squares.iter().all(|s| (0.8..1.2).contains(&s.sqrt())), "{squares:?}");
+}
+
+#[test]
+fn three_vanishing_points_tell_the_principal_point() {
+    let off = Point2::new(352.0, 219.0);
+    let solve = Inner { principal_point: true, distortion: false };
+    let marked = edges([0.9, 0.6, 0.5], off, 0.3, &[0, 1, 2]);
+    let fit = fit_edges(&marked, CENTRE, DIAGONAL, 0.5, None, solve).unwrap();
+    let miss = (fit.centre - off).norm();
+    assert!(miss < 3.0 * fit.centre_sigma_px() && miss < 16.0, "{} ± {}", fit.centre, fit.centre_sigma_px());
+    assert!((fit.room.focal_px / 600.0 - 1.0).abs() < 0.02, "{}", fit.room.focal_px);
+    // Two leave it open.
+    let two = edges([0.9, 0.6, 0.5], off, 0.3, &[0, 1]);
+    let refused = fit_edges(&two, CENTRE, DIAGONAL, 0.5, None, solve);
+    let open =
+        matches!(refused, Err(Problem::CentreOpen { .. } | Problem::FocalOpen { .. } | Problem::Fit(_)));
+    assert!(open, "{refused:?}");
+}
+
+#[test]
+fn plumb_lines_tell_distortion() {
+    let lens = Intrinsics { distortion: [-0.18, 0.0, 0.0, 0.0, 0.0], ..Intrinsics::pinhole(640, 480, 600.0) };
+    let mut marked = edges([0.9, 0.6, 0.5], CENTRE, 0.1, &[0, 1, 2]);
+    for p in marked.along.iter_mut().flatten().flatten() {
+        let [x, y] = lens.distort([(p.x - CENTRE.x) / 600.0, (p.y - CENTRE.y) / 600.0]);
+        *p = Point2::new(600.0 * x + CENTRE.x, 600.0 * y + CENTRE.y);
+    }
+    let plumb = Inner { principal_point: false, distortion: true };
+    let fit = fit_edges(&marked, CENTRE, DIAGONAL, 0.5, None, plumb).unwrap();
+    assert!((fit.k1 + 0.18).abs() < (3.0 * fit.k1_sigma()).min(0.05), "{} ± {}", fit.k1, fit.k1_sigma());
+    let without = focal_from_edges(&marked, CENTRE, DIAGONAL, 0.5).unwrap();
+    let off = |fit: &EdgeFit| (fit.room.focal_px / 600.0 - 1.0).abs();
+    assert!(off(&fit) < 0.01 && off(&without) > 2.0 * off(&fit), "{} {}", off(&fit), off(&without));
+}
+
 #[test]
 fn a_stated_focal_length_counts_by_its_accuracy() {
     let marked = edges([0.9, 0.6, 0.5], CENTRE, 0.5, &[0, 1, 2]);
     let with = |relative_sigma| {
         let stated = StatedFocal { focal_px: 660.0, relative_sigma };
-        fit_edges(&marked, CENTRE, DIAGONAL, 0.5, Some(stated)).unwrap()
+        fit_edges(&marked, CENTRE, DIAGONAL, 0.5, Some(stated), Inner::default()).unwrap()
     };
     let alone = focal_from_edges(&marked, CENTRE, DIAGONAL, 0.5).unwrap().room.focal_px;
     let (sure, unsure) = (with(1e-4).room.focal_px, with(10.0).room.focal_px);

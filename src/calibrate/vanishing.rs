@@ -2,6 +2,7 @@
 //! Caprile and Torre 1990).
 
 use super::Problem;
+use crate::camera::Intrinsics;
 use crate::least_squares::{self, Loss};
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Point2, Rotation3, Vector2, Vector3};
 
@@ -21,6 +22,8 @@ const FAR: f64 = 50.0;
 const MAX_RELATIVE_SIGMA: f64 = 0.1;
 /// … and one that walls half a degree off the right angle would change by 9 %.
 const MAX_CONDITION: f64 = 10.0;
+/// A principal point less certain than this, in image diagonals, is refused.
+const MAX_CENTRE_SIGMA: f64 = 0.03;
 /// Marked directions are at right angles, to this, rad.
 const EXACTLY_SQUARE: f64 = 1e-4;
 /// Robust threshold, in standard deviations of a mark.
@@ -70,7 +73,11 @@ fn tangents(v: &Vector3<f64>) -> [Vector3<f64>; 2] {
 pub struct EdgeFit {
     /// The room as the camera sees it.
     pub room: Room,
-    /// Covariance of focal length (px) and a turn in the camera frame (rad).
+    /// Principal point, px, as given or as found.
+    pub centre: Point2<f64>,
+    /// Radial distortion k1, 0 unless it was to be found.
+    pub k1: f64,
+    /// Covariance of focal length (px), a turn in the camera frame (rad), principal point (px) and k1; 0 of what is given.
     pub covariance: DMatrix<f64>,
     /// By how much the focal length changes, as a share of it, where the room's directions depart from right angles by so many
     /// rad: what tells how well the vanishing points fix it.
@@ -85,6 +92,16 @@ impl EdgeFit {
     /// Standard deviation of the focal length, px.
     pub fn focal_sigma_px(&self) -> f64 {
         self.covariance[(0, 0)].max(0.0).sqrt()
+    }
+
+    /// Standard deviation of the principal point, in the direction in which it is known worst, px.
+    pub fn centre_sigma_px(&self) -> f64 {
+        self.covariance.fixed_view::<2, 2>(4, 4).symmetric_eigenvalues().max().max(0.0).sqrt()
+    }
+
+    /// Standard deviation of k1.
+    pub fn k1_sigma(&self) -> f64 {
+        self.covariance[(6, 6)].max(0.0).sqrt()
     }
 
     /// Refuses a focal length that the edges leave open.
@@ -128,6 +145,15 @@ pub struct StatedFocal {
     pub relative_sigma: f64,
 }
 
+/// What of the lens is to be found besides the focal length.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Inner {
+    /// The principal point: three vanishing points at a finite distance fix it.
+    pub principal_point: bool,
+    /// Radial distortion k1: straight edges through one vanishing point fix it (plumb lines; Brown 1971).
+    pub distortion: bool,
+}
+
 /// Fits focal length and orientation to all edges at once. The principal point is taken as known.
 pub fn focal_from_edges(
     edges: &RoomEdges,
@@ -135,16 +161,18 @@ pub fn focal_from_edges(
     diagonal_px: f64,
     sigma_px: f64,
 ) -> Result<EdgeFit, Problem> {
-    fit_edges(edges, centre, diagonal_px, sigma_px, None)
+    fit_edges(edges, centre, diagonal_px, sigma_px, None, Inner::default())
 }
 
-/// As [`focal_from_edges`]; a stated focal length counts as one more observation, by its standard deviation.
+/// As [`focal_from_edges`]; a stated focal length counts as one more observation, by its standard deviation. Where more of the lens is
+/// to be found, `centre` is where that starts, and edges are as they are seen.
 pub fn fit_edges(
     edges: &RoomEdges,
     centre: Point2<f64>,
     diagonal_px: f64,
     sigma_px: f64,
     stated: Option<StatedFocal>,
+    inner: Inner,
 ) -> Result<EdgeFit, Problem> {
     let mut points = [None; 3];
     for (k, edges) in edges.along.iter().enumerate() {
@@ -162,8 +190,10 @@ pub fn fit_edges(
     };
     let camera_from_room = orientation(&points, &edges.along, centre, diagonal_px, focal_px)?;
     let weighed = edges.along.each_ref().map(|edges| edges.iter().map(|e| (*e, 1.0 / sigma_px)).collect());
-    let fit = Weighed { along: weighed, square_sigma: EXACTLY_SQUARE, loss: Loss::Huber(ROBUST) };
-    fit.fit(Room { focal_px, camera_from_room }, centre, stated)?.certain()
+    let fit = Weighed { along: weighed, square_sigma: EXACTLY_SQUARE, loss: Loss::Huber(ROBUST), inner };
+    let fit = fit.fit(Room { focal_px, camera_from_room }, centre, stated)?.certain()?;
+    let (sigma_px, limit_px) = (fit.centre_sigma_px(), MAX_CENTRE_SIGMA * diagonal_px);
+    if sigma_px > limit_px { Err(Problem::CentreOpen { sigma_px, limit_px }) } else { Ok(fit) }
 }
 
 /// Edges with the square root of what each counts, 1/px, for a fit from a start near enough.
@@ -175,6 +205,18 @@ pub struct Weighed {
     pub square_sigma: f64,
     /// How residuals count.
     pub loss: Loss,
+    /// What else is found.
+    pub inner: Inner,
+}
+
+/// Parameters of a fit: focal length, turn, and leanings.
+const ALWAYS: usize = 10;
+
+/// A place on an edge as a lens without distortion would show it.
+fn straightened(p: &Point2<f64>, centre: Point2<f64>, focal_px: f64, k1: f64) -> Point2<f64> {
+    let lens = Intrinsics { distortion: [k1, 0.0, 0.0, 0.0, 0.0], ..Intrinsics::pinhole(0, 0, focal_px) };
+    let d = (p - centre) / focal_px;
+    centre + Vector2::from(lens.undistort([d.x, d.y])) * focal_px
 }
 
 impl Weighed {
@@ -195,22 +237,41 @@ impl Weighed {
             (d[(k + 1) % 3], d[(k + 2) % 3]) = (x[4 + 2 * k], x[5 + 2 * k]);
             d
         };
+        let Inner { principal_point, distortion } = self.inner;
+        let moved = |x: &DVector<f64>| match principal_point {
+            true => centre + Vector2::new(x[ALWAYS], x[ALWAYS + 1]),
+            false => centre,
+        };
+        let k1 = |x: &DVector<f64>| if distortion { x[x.len() - 1] } else { 0.0 };
         let residuals = |x: &DVector<f64>| {
-            let room = room(x);
+            let (room, centre, k1) = (room(x), moved(x), k1(x));
             let edges = self.along.iter().enumerate().flat_map(|(k, edges)| {
                 let v = room.seen(&leaning(x, k), centre);
-                edges.iter().map(move |(edge, weight)| edge_residual(&v, edge) * weight)
+                edges.iter().map(move |(edge, weight)| {
+                    let straight = |p: &Point2<f64>| straightened(p, centre, room.focal_px, k1);
+                    let edge = if distortion { &edge.each_ref().map(straight) } else { edge };
+                    edge_residual(&v, edge) * weight
+                })
             });
             let stated = stated.map(|s| (room.focal_px / s.focal_px).ln() / s.relative_sigma);
-            let square = (4..10).map(|k| x[k] / self.square_sigma);
+            let square = (4..ALWAYS).map(|k| x[k] / self.square_sigma);
             Some(DVector::from_vec(square.chain(stated).chain(edges).collect()))
         };
         let lean = "a direction's departure from the right angle";
         let names = ["the focal length", "the tilt", "the tilt", "the roll"].into_iter().chain([lean; 6]);
-        let names: Vec<String> = names.map(String::from).collect();
-        let fit = least_squares::minimise(&residuals, &names, &[0.0; 10], self.loss)?;
-        let room = room(&fit.parameters);
-        let mut covariance = fit.covariance.view((0, 0), (4, 4)).clone_owned();
+        let names = names.chain(["the principal point"; 2].into_iter().filter(|_| principal_point));
+        let names: Vec<String> =
+            names.chain(Some("the distortion").filter(|_| distortion)).map(String::from).collect();
+        let fit = least_squares::minimise(&residuals, &names, &vec![0.0; names.len()], self.loss)?;
+        let (room, centre, k1) = (room(&fit.parameters), moved(&fit.parameters), k1(&fit.parameters));
+        // Where the parameters of the covariance stand among those fitted.
+        let mut stand: Vec<(usize, usize)> = (0..4).map(|k| (k, k)).collect();
+        stand.extend((0..2).filter(|_| principal_point).map(|k| (4 + k, ALWAYS + k)));
+        stand.extend(Some((6, names.len() - 1)).filter(|_| distortion));
+        let mut covariance = DMatrix::zeros(7, 7);
+        for ((i, a), (j, b)) in stand.iter().flat_map(|a| stand.iter().map(move |b| (a, b))) {
+            covariance[(*i, *j)] = fit.covariance[(*a, *b)];
+        }
         covariance.row_mut(0).scale_mut(room.focal_px);
         covariance.column_mut(0).scale_mut(room.focal_px);
         let others = 6 + usize::from(stated.is_some());
@@ -225,6 +286,8 @@ impl Weighed {
         }
         Ok(EdgeFit {
             room,
+            centre,
+            k1,
             covariance,
             condition: fit.gain.view((0, 0), (1, 6)).norm() / self.square_sigma,
             rms_px: (misses.sum::<f64>() / of_edges.len().max(1) as f64).sqrt(),
@@ -358,27 +421,29 @@ pub fn camera_centre(
     }
 }
 
-/// Standard deviation of the camera centre along each axis, m, by the propagation of all marks' noise.
-pub fn camera_centre_sigma(
+/// How the camera centre (rows, m) follows what the edges' fit found, in the order of its covariance, and the marks that place it (px,
+/// two each), and the covariance of all these.
+pub fn camera_centre_errors(
     placing: &Placing,
     fit: &EdgeFit,
     centre: Point2<f64>,
     sigma_px: f64,
-) -> Result<[f64; 3], Problem> {
-    let at = |x: &[f64; 10]| {
-        let moved = placing.shifted(&[4, 6, 8].map(|k| Vector2::new(x[k], x[k + 1])));
+) -> Result<(DMatrix<f64>, DMatrix<f64>), Problem> {
+    let at = |x: &[f64; 13]| {
+        let moved = placing.shifted(&[7, 9, 11].map(|k| Vector2::new(x[k], x[k + 1])));
         let turn = Rotation3::new(Vector3::new(x[1], x[2], x[3]));
+        let centre = centre + Vector2::new(x[4], x[5]);
         camera_centre(&moved, fit.room.focal_px + x[0], centre, &(turn * fit.room.camera_from_room))
     };
-    let mut jacobian = DMatrix::zeros(3, 10);
-    for k in 0..10 {
+    let mut jacobian = DMatrix::zeros(3, 13);
+    // Distortion (6) hardly moves the marks, which lie near the middle.
+    for k in (0..13).filter(|k| *k != 6) {
         let h = if k == 0 || k > 3 { 1e-3 } else { 1e-6 };
-        let (mut up, mut down) = ([0.0; 10], [0.0; 10]);
+        let (mut up, mut down) = ([0.0; 13], [0.0; 13]);
         (up[k], down[k]) = (h, -h);
         jacobian.set_column(k, &((at(&up)? - at(&down)?) / (2.0 * h)));
     }
-    let mut covariance = DMatrix::identity(10, 10) * (sigma_px * sigma_px);
-    covariance.view_mut((0, 0), (4, 4)).copy_from(&fit.covariance);
-    let c = &jacobian * covariance * jacobian.transpose();
-    Ok(std::array::from_fn(|k| c[(k, k)].max(0.0).sqrt()))
+    let mut covariance = DMatrix::identity(13, 13) * (sigma_px * sigma_px);
+    covariance.view_mut((0, 0), (7, 7)).copy_from(&fit.covariance);
+    Ok((jacobian, covariance))
 }

@@ -1,5 +1,11 @@
 //! Pinhole cameras with Brown–Conrady distortion. Frames and pixels as in the crate's conventions.
 
+mod derivatives;
+mod uncertainty;
+
+pub use derivatives::{LENS, POSE, Projected, moved};
+pub use uncertainty::{CameraCovariance, LensCovariance, focal_alone};
+
 use nalgebra::{Isometry3, Point2, Point3, Unit, Vector3};
 use serde::{Deserialize, Serialize};
 

@@ -1,5 +1,6 @@
 //! Judging the result: errors on linear radiance and on display images, each stage against truth, the report.
 
+mod camera;
 pub mod compare;
 pub mod display;
 pub mod errors;

@@ -1,5 +1,6 @@
 //! What the stage does: figures of all that earlier stages left, and the report.
 
+use super::camera;
 use super::gallery::{Gallery, gallery};
 use super::radiometry::{self, Merging};
 use super::references::{read_reference, read_truth};
@@ -45,9 +46,12 @@ pub fn judge(ctx: &Context) -> Result<()> {
         None => None,
     };
     let compared = reference.as_ref().zip(comparison.as_ref());
-    let notes = judge_stages(ctx, &response, &ours, compared, &mut measured)?;
-    let sections = vec![radiometry::section(&response, Some(&merging))?];
+    let cameras: Cameras = json::read(&ctx.artefact("calibrate", "cameras.json")?)?;
+    let notes = judge_stages(ctx, &response, &cameras, &ours, compared, &mut measured)?;
     let mut gallery = gallery(&ours, comparison.as_ref(), encode);
+    let as_seen = &gallery.pictures[0].1;
+    let sections =
+        vec![camera::section(ctx, &cameras, as_seen)?, radiometry::section(&response, Some(&merging))?];
     gallery.maps.extend(light_residual(ctx)?);
     write(ctx, &measured, gallery, sections, notes)
 }
@@ -89,6 +93,7 @@ fn plate_of(ctx: &Context, planes: &Planes) -> Result<(RadianceImage, Image<bool
 fn judge_stages(
     ctx: &Context,
     response: &Response,
+    cameras: &Cameras,
     ours: &Ours,
     compared: Option<(&Reference, &Comparison)>,
     out: &mut Measured,
@@ -99,7 +104,6 @@ fn judge_stages(
     };
     let path = settings.truth.as_ref().map_or(String::new(), |p| p.display().to_string());
     let doing = || format!("judging stages against {path}");
-    let cameras: Cameras = json::read(&ctx.artefact("calibrate", "cameras.json")?)?;
     truth.judge_camera(cameras.plate_camera(), &cameras.plate, out).doing(doing())?;
     truth.judge_response(|c| response.exposure_of(c), out).doing(doing())?;
     let probe: ProbeFit = json::read(&ctx.artefact("probe", "probe.json")?)?;

@@ -47,13 +47,7 @@ impl Truth {
 
     /// The same, known exactly.
     pub fn posed_camera(&self, file: &str) -> Result<PosedCamera, Problem> {
-        Ok(PosedCamera {
-            camera: self.camera(file)?,
-            rms_px: 0.0,
-            position_sigma_m: [0.0; 3],
-            rotation_sigma_rad: [0.0; 3],
-            rival_rms_px: None,
-        })
+        Ok(PosedCamera { camera: self.camera(file)?, rms_px: 0.0, covariance: None, rival_rms_px: None })
     }
 
     /// The mirror ball as photographed in `file`, with an environment of `width` texels.

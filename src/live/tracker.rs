@@ -3,7 +3,7 @@
 use super::sides::refined;
 use super::{Filter, Layout, Problem};
 use crate::calibrate::{PosedCamera, pose, world_from_grid};
-use crate::camera::{Camera, Intrinsics};
+use crate::camera::{Camera, Intrinsics, LensCovariance};
 use crate::config;
 use crate::image::{Image, RadianceImage};
 use crate::vision::{self, Marker};
@@ -108,7 +108,14 @@ impl Tracker {
         let fit = |seen: &[Marker]| {
             let boards = [self.layout.view(seen)?];
             let intrinsics = &self.intrinsics;
-            let view = pose::View { intrinsics, boards: &boards, corner_sigma_px: 0.0, edges: None };
+            let lens_covariance = &LensCovariance::zeros();
+            let view = pose::View {
+                intrinsics,
+                lens_covariance,
+                boards: &boards,
+                corner_sigma_px: 0.0,
+                edges: None,
+            };
             Some((pose::fit(&view).ok()?.posed, boards[0].board.len()))
         };
         let all = fit(seen)?;

@@ -1,6 +1,6 @@
 //! Merging a band of rows at a time.
 
-use super::estimate::{Estimate, Reading, estimate, inconsistent, overexpose};
+use super::estimate::{Estimate, Reading, Told, estimate, inconsistent, overexpose};
 use super::ghosts;
 use super::noise::{Noise, Sensor};
 use super::order::by_exposure;
@@ -12,6 +12,7 @@ use crate::image::{CodeImage, Image, Radiance};
 use crate::response::{LEVELS, Response, Vignetting};
 use rayon::prelude::*;
 use std::ops::Range;
+use std::sync::LazyLock;
 
 /// Pixels of a band.
 const PIXELS: usize = 1 << 17;
@@ -122,23 +123,32 @@ struct View<'a> {
     deghost: bool,
 }
 
-/// What a frame says at each code of 8 bits, since most codes are such.
-struct Readings([Vec<(f32, Reading)>; 3]);
+/// What a frame says at each code of 8 bits, since most codes are such; without what all readings of the frame share, so that the
+/// tables of many frames stay in the processor's caches.
+struct Readings {
+    frame: usize,
+    channels: [Vec<Told>; 3],
+}
 
 impl Readings {
     fn new(noise: &Noise, frame: usize, unit: f32) -> Self {
-        Self([0, 1, 2].map(|channel| {
-            let code = |z: usize| z as f32 / (LEVELS - 1) as f32;
-            (0..LEVELS).map(|z| (code(z), noise.read(frame, channel, code(z), unit))).collect()
-        }))
+        let table =
+            |channel| CODES.iter().map(|code| noise.read(frame, channel, *code, unit).told()).collect();
+        Self { frame, channels: [0, 1, 2].map(table) }
     }
 
     fn of(&self, noise: &Noise, channel: usize, code: f32, unit: f32) -> Reading {
-        let table = &self.0[channel];
-        let (at, reading) = &table[((code * (LEVELS - 1) as f32 + 0.5) as usize).min(LEVELS - 1)];
-        if *at == code { *reading } else { noise.read(reading.frame, channel, code, unit) }
+        let z = ((code * (LEVELS - 1) as f32 + 0.5) as usize).min(LEVELS - 1);
+        match CODES[z] == code {
+            true => Reading::of(self.frame, unit, &self.channels[channel][z]),
+            false => noise.read(self.frame, channel, code, unit),
+        }
     }
 }
+
+/// All codes of 8 bits.
+static CODES: LazyLock<[f32; LEVELS]> =
+    LazyLock::new(|| std::array::from_fn(|z| z as f32 / (LEVELS - 1) as f32));
 
 impl View<'_> {
     fn band(&self, rows: Range<usize>) -> Result<(Band, Counts), Problem> {

@@ -28,9 +28,32 @@ impl Reading {
         Self { frame, exposure, unit, per_unit, says, variance, weight: 1.0 / variance, clipped, dark }
     }
 
+    /// Of what a frame says at a code.
+    pub fn of(frame: usize, unit: f32, told: &Told) -> Self {
+        let Told { exposure, says, variance, weight, clipped, dark } = *told;
+        Self { frame, exposure, unit, per_unit: 1.0 / unit, says, variance, weight, clipped, dark }
+    }
+
+    /// Without what all readings of its frame share.
+    pub fn told(&self) -> Told {
+        let Self { exposure, says, variance, weight, clipped, dark, .. } = *self;
+        Told { exposure, says, variance, weight, clipped, dark }
+    }
+
     fn tells(&self) -> bool {
         !self.clipped && !self.dark
     }
+}
+
+/// A [`Reading`] but for its frame.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Told {
+    exposure: f32,
+    says: f32,
+    variance: f32,
+    weight: f32,
+    clipped: bool,
+    dark: bool,
 }
 
 #[derive(Debug, Clone, Copy, Default)]

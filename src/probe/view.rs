@@ -79,8 +79,7 @@ mod tests {
         let posed = PosedCamera {
             camera: Camera { intrinsics: camera().intrinsics, world_from_camera: Default::default() },
             rms_px: 0.0,
-            position_sigma_m: [0.0; 3],
-            rotation_sigma_rad: [0.0; 3],
+            covariance: None,
             rival_rms_px: None,
         };
         Cameras::new("plate.jpg".into(), [("plate.jpg".to_string(), posed)].into(), None).unwrap()

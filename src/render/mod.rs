@@ -1,6 +1,7 @@
 //! The synthetic object: read, placed, lit by the scene's own light, seen by the plate's camera.
 
 mod cells;
+mod contacts;
 mod environment;
 mod frames;
 mod gltf_file;
@@ -17,6 +18,7 @@ mod shade;
 pub mod stage;
 
 pub use cells::Cells;
+pub use contacts::{Contact, Contacts, contacts};
 pub use environment::Environment;
 pub use frames::{Frame, Frames};
 pub use layer::{Layer, Rendered, render};

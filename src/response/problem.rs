@@ -85,6 +85,19 @@ pub enum Problem {
         /// Share that is needed.
         needed: f64,
     },
+    /// The grid's paper does not tell the vignetting.
+    #[error(
+        "the white squares of {photographs} photographs of the grid leave the light in the picture's corners uncertain by {:.1} %, \
+         at most {:.0} % is allowed", 100.0 * sigma, 100.0 * limit
+    )]
+    VignettingOpen {
+        /// In which the grid is seen with its white squares well exposed.
+        photographs: usize,
+        /// Standard deviation of the light in the corners, as a share of that in the middle.
+        sigma: f64,
+        /// What is allowed.
+        limit: f64,
+    },
     /// No lens has this vignetting.
     #[error(
         "the vignetting would leave {share:.2} of the light at some place of the picture, from 0.05 to 1.5 is believed"
@@ -117,6 +130,10 @@ impl crate::error::Problem for Problem {
             Self::Undetermined { .. } => "add exposures in between, one or two stops apart",
             Self::NoFlatField { .. } => {
                 "photograph a surface of even brightness so that it fills the picture, at a middle grey"
+            }
+            Self::VignettingOpen { .. } => {
+                "photograph the grid in all parts of the picture, its corners too, its paper neither clipped nor in patchy light; or \
+                 an even surface (role `flat`)"
             }
             Self::NoLens { .. } => {
                 "check `vignetting` in [response], or that role `flat` shows a surface of even brightness alone"

@@ -22,6 +22,7 @@ pub fn of_capture(ctx: &Context, capture: &Capture) -> Result<Response> {
     if let Some(v) = &response.vignetting {
         ctx.figure("vignetting", v.coefficients);
         ctx.figure("light_in_the_corners", v.at(1.0));
+        ctx.figure("light_in_the_corners_sigma", v.sigma(1.0));
     }
     Ok(response)
 }
@@ -33,18 +34,43 @@ fn vignetting(ctx: &Context, capture: &Capture, response: &Response) -> Result<O
         return Vignetting::given(given).doing(DOING).map(Some);
     }
     let flats: Vec<&Photo> = capture.with_role(Role::Flat).collect();
-    let Some(first) = flats.first() else { return Ok(None) };
-    let plate = capture.plate()?;
-    let lens = |p: &Photo| (p.focal_mm, p.exposure.map(|e| e.f_number));
-    if lens(first) != lens(plate) {
-        ctx.warn(format!(
-            "{} (flat) and {} differ in focal length or aperture: vignetting changes with both",
-            first.file, plate.file
-        ));
+    if flats.is_empty() && ctx.pipeline.response.estimate_vignetting {
+        return estimated(ctx, capture, response).map(Some);
     }
+    let Some(first) = flats.first() else { return Ok(None) };
+    warn_of_another_lens(ctx, first, capture.plate()?);
     let stored = exposure::load_each(ctx, capture, &flats, "reading flat fields", |_, stored| Ok(stored))?;
     let stored: Vec<&dyn Rows> = stored.iter().map(|s| s as &dyn Rows).collect();
     Vignetting::fit(&stored, response).doing(DOING).map(Some)
+}
+
+/// From the paper of the grid.
+fn estimated(ctx: &Context, capture: &Capture, response: &Response) -> Result<Vignetting> {
+    let plate = capture.plate()?;
+    let size = |p: &Photo| (p.width_px, p.height_px);
+    let photos: Vec<&Photo> =
+        capture.with_role(Role::Grid).filter(|p| !p.linear && size(p) == size(plate)).collect();
+    if let Some(first) = photos.first() {
+        warn_of_another_lens(ctx, first, plate);
+    }
+    const READING: &str = "reading photographs of the grid";
+    let codes = exposure::load_each(ctx, capture, &photos, READING, |photo, stored| {
+        stored.rows(0..stored.height).at(READING, photo.file.as_ref())
+    })?;
+    Vignetting::estimate(&codes, response, &ctx.pipeline.calibrate)
+        .doing("estimating the vignetting from photographs of the grid")
+}
+
+fn warn_of_another_lens(ctx: &Context, photo: &Photo, plate: &Photo) {
+    let lens = |p: &Photo| (p.focal_mm, p.exposure.map(|e| e.f_number));
+    if lens(photo) != lens(plate) {
+        ctx.warn(format!(
+            "{} ({}) and {} differ in focal length or aperture: vignetting changes with both",
+            photo.file,
+            role_name(photo.role),
+            plate.file
+        ));
+    }
 }
 
 fn curves(ctx: &Context, capture: &Capture) -> Result<Response> {

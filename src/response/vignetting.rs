@@ -3,12 +3,17 @@
 //! V(r) = 1 + a r² + b r⁴ + c r⁶ with r the distance from the middle of the picture over half its diagonal (the usual
 //! radial polynomial; Goldman, *Vignette and Exposure Calibration and Compensation*, PAMI 2010). Fitted to a flat field:
 //! photographs of a surface of even brightness. Light that falls off to one side of it does no harm, since it has no part
-//! in what is even in r.
+//! in what is even in r. Or estimated from [`paper`] that is seen all over the picture in several photographs.
+
+mod paper;
 
 use super::samples::median;
 use super::{Problem, Response};
+use crate::config;
 use crate::exposure::Rows;
+use crate::image::CodeImage;
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 /// Cells along each side of the picture that are averaged: dust and grain go, the fall-off stays.
@@ -21,6 +26,10 @@ const NEEDED_SHARE: f64 = 0.7;
 const BELIEVED: std::ops::RangeInclusive<f64> = 0.05..=1.5;
 /// Rounds of weighting outliers down and of the fields' light.
 const ROUNDS: usize = 8;
+/// How far from 0 a lens' coefficients usually are: what holds those that nothing else does.
+const USUAL_COEFFICIENT: f64 = 0.5;
+/// Largest standard deviation of the light in the corners with which an estimate is believed.
+const MAX_SIGMA: f64 = 0.02;
 
 /// Fall-off of a lens at one aperture and focal length.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -40,7 +49,22 @@ impl Vignetting {
     /// From flat fields of one lens, whole pictures each.
     pub fn fit(flats: &[&dyn Rows], response: &Response) -> Result<Self, Problem> {
         let fields = flats.iter().map(|flat| Field::new(*flat, response)).collect::<Result<Vec<_>, _>>()?;
-        solve(&fields).ok_or(Problem::NoFlatField { held: 0.0, needed: NEEDED_SHARE })?.believed()
+        solve(&fields, false).ok_or(Problem::NoFlatField { held: 0.0, needed: NEEDED_SHARE })?.believed()
+    }
+
+    /// From photographs in which the printed grid is seen in different places: its white paper shows how much of the light
+    /// arrives there. Refused where the paper leaves the corners open; photographs without the grid are passed over.
+    pub fn estimate(
+        photographs: &[CodeImage],
+        response: &Response,
+        grid: &config::Calibrate,
+    ) -> Result<Self, Problem> {
+        let fields: Vec<Field> =
+            photographs.par_iter().filter_map(|codes| paper::field(codes, response, grid)).collect();
+        let open = |sigma| Problem::VignettingOpen { photographs: fields.len(), sigma, limit: MAX_SIGMA };
+        let found = solve(&fields, true).ok_or(open(USUAL_COEFFICIENT * 3f64.sqrt()))?;
+        let sigma = found.sigma(1.0);
+        if sigma.is_nan() || sigma > MAX_SIGMA { Err(open(sigma)) } else { found.believed() }
     }
 
     fn believed(self) -> Result<Self, Problem> {
@@ -51,6 +75,11 @@ impl Vignetting {
     /// V at r.
     pub fn at(&self, r: f64) -> f64 {
         1.0 + Vector3::from(self.coefficients).dot(&powers(r))
+    }
+
+    /// Standard deviation of V at r.
+    pub fn sigma(&self, r: f64) -> f64 {
+        self.variance(r).sqrt()
     }
 
     /// Variance of V at r.
@@ -79,7 +108,7 @@ fn radius([x, y]: [f64; 2], (width, height): (usize, usize)) -> f64 {
 
 /// One cell of a flat field.
 struct Cell {
-    /// From the middle, in half diagonals.
+    /// Place on the surface: of a flat field that fills the picture from its middle, in half diagonals.
     at: [f64; 2],
     r: f64,
     exposure: f64,
@@ -90,8 +119,15 @@ impl Cell {
     fn plane(&self) -> Vector3<f64> {
         Vector3::new(1.0, self.at[0], self.at[1])
     }
+
+    /// What the light's curvature is multiplied with.
+    fn bend(&self) -> Vector3<f64> {
+        let [u, v] = self.at;
+        Vector3::new(u * u, u * v, v * v)
+    }
 }
 
+/// A surface of even brightness in one photograph.
 struct Field(Vec<Cell>);
 
 impl Field {
@@ -131,26 +167,34 @@ impl Field {
     }
 }
 
-/// Least squares over a, b, c, and of each field its brightness and slope along x and y, by which it is divided for the next
-/// round; outliers weighted down.
-fn solve(fields: &[Field]) -> Option<Vignetting> {
+/// Least squares over a, b, c, and of each field its brightness and slope along its sides, by which it is divided for the next
+/// round; where it is `curved`, over a curvature of the light, too, that all fields have in common. Outliers are weighted down.
+fn solve(fields: &[Field], curved: bool) -> Option<Vignetting> {
     let mut light = vec![Vector3::new(1.0, 0.0, 0.0); fields.len()];
-    let unknowns = 3 + 3 * fields.len();
+    let mut curvature = Vector3::<f64>::zeros();
+    let of_light = if curved { 6 } else { 3 };
+    let unknowns = of_light + 3 * fields.len();
     let mut solution = DVector::<f64>::zeros(unknowns);
     let (mut usual, mut inverse, mut count) = (f64::INFINITY, None, 0.0);
     for _ in 0..ROUNDS {
         let row = |j: usize, cell: &Cell| {
             let mut row = DVector::<f64>::zeros(unknowns);
             row.fixed_rows_mut::<3>(0).copy_from(&powers(cell.r));
-            row.fixed_rows_mut::<3>(3 + 3 * j).copy_from(&cell.plane());
+            if curved {
+                row.fixed_rows_mut::<3>(3).copy_from(&cell.bend());
+            }
+            row.fixed_rows_mut::<3>(of_light + 3 * j).copy_from(&cell.plane());
             row
         };
         let mut normal = DMatrix::<f64>::zeros(unknowns, unknowns);
+        let prior = (usual.min(0.1) / USUAL_COEFFICIENT).powi(2);
+        (0..of_light).for_each(|k| normal[(k, k)] = prior);
         let mut right = DVector::<f64>::zeros(unknowns);
         let mut residuals = Vec::new();
         count = 0.0;
         for (j, cell) in fields.iter().enumerate().flat_map(|(j, f)| f.0.iter().map(move |c| (j, c))) {
-            let (row, value) = (row(j, cell), cell.exposure / light[j].dot(&cell.plane()) - 1.0);
+            let falling = light[j].dot(&cell.plane()) * (1.0 + curvature.dot(&cell.bend()));
+            let (row, value) = (row(j, cell), cell.exposure / falling - 1.0);
             let weight = 1.0 / (1.0 + ((value - row.dot(&solution)) / (3.0 * usual)).powi(2));
             normal.ger(weight, &row, &row, 1.0);
             right.axpy(weight * value, &row, 1.0);
@@ -161,8 +205,13 @@ fn solve(fields: &[Field]) -> Option<Vignetting> {
         solution = factor.solve(&right);
         usual = 1.4826 * median(residuals.iter().map(|(row, v)| (v - row.dot(&solution)).abs()))?.max(1e-9);
         inverse = Some(factor.inverse());
+        if curved {
+            let mut more = solution.fixed_rows_mut::<3>(3);
+            curvature += &more;
+            more.fill(0.0);
+        }
         for (j, light) in light.iter_mut().enumerate() {
-            let mut more = solution.fixed_rows_mut::<3>(3 + 3 * j);
+            let mut more = solution.fixed_rows_mut::<3>(of_light + 3 * j);
             *light += light[0] * &more;
             more.fill(0.0);
         }

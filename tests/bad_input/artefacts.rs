@@ -40,10 +40,10 @@ fn artefacts_are_refused_with_file_and_cure() {
         ),
         case(
             "another schema version",
-            &[Swap("work/calibrate/cameras.json", "\"version\": 1", "\"version\": 99")],
+            &[Swap("work/calibrate/cameras.json", "\"version\": 2", "\"version\": 99")],
             "transfer",
             1,
-            "reading insitu-cameras: ./work/calibrate/cameras.json: has schema version 99, this insitu reads 1",
+            "reading insitu-cameras: ./work/calibrate/cameras.json: has schema version 99, this insitu reads 2",
             "run `insitu run --force --from calibrate`",
         ),
         case(

@@ -108,3 +108,98 @@ pose = "vanishing_lines"
         ),
     ]);
 }
+
+#[test]
+fn grids_of_markers_must_be_printable() {
+    check(&[
+        case(
+            "markers larger than their squares",
+            &[Set(r#"[calibrate]
+grid = { charuco = { dictionary = "6x6_250", marker_m = 0.08 } }
+"#)],
+            "calibrate",
+            1,
+            "finding lens and pose of plate_000.jpg: `calibrate.grid` has markers of 0.08 m in squares of 0.06 m",
+            "measure the printed grid again, in metres",
+        ),
+        case(
+            "a dictionary that is not",
+            &[Set(r#"[calibrate]
+grid = { aruco = { dictionary = "6x6_25", board = { columns = 5, rows = 7, side_m = 0.04, gap_m = 0.01 } } }
+"#)],
+            "calibrate",
+            1,
+            "finding lens and pose of plate_000.jpg: there is no dictionary of markers `6x6_25`",
+            "did you mean `6x6_250`?",
+        ),
+        case(
+            "more markers than the dictionary has",
+            &[Set(r#"[calibrate]
+grid = { aruco = { dictionary = "4x4_50", board = { columns = 8, rows = 7, side_m = 0.04, gap_m = 0.01 } } }
+"#)],
+            "calibrate",
+            1,
+            "finding lens and pose of plate_000.jpg: the dictionary has 50 markers, and none with the number 55",
+            "take another dictionary, or markers with smaller numbers",
+        ),
+    ]);
+}
+
+#[test]
+fn cameras_of_other_programs_must_be_the_plates() {
+    const LENS: &str = "1 PINHOLE 640 480 500 500 320 240\n";
+    check(&[
+        case(
+            "a model without the plate",
+            &[
+                Set("[calibrate]\nimport = \"sparse\"\n"),
+                Write("sparse/cameras.txt", LENS),
+                Write("sparse/images.txt", "1 1 0 0 0 0 0 2 1 other.jpg\n\n"),
+            ],
+            "calibrate",
+            1,
+            "reading the cameras of sparse: there is no camera of plate_000.jpg among them",
+            "let the other program see the plate, too, under its file name",
+        ),
+        case(
+            "a model of a smaller picture",
+            &[
+                Set("[calibrate]\nimport = \"sparse\"\n"),
+                Write("sparse/cameras.txt", "1 PINHOLE 320 240 250 250 160 120\n"),
+                Write("sparse/images.txt", "1 1 0 0 0 0 0 2 1 plate_000.jpg\n\n"),
+            ],
+            "calibrate",
+            1,
+            "reading the cameras of sparse: the camera of plate_000.jpg is one of 320×240 px, the photograph has 640×480 px",
+            "give the other program the photograph as it is here, neither cropped nor scaled",
+        ),
+        case(
+            "a model with a fisheye lens",
+            &[
+                Set("[calibrate]\nimport = \"sparse\"\n"),
+                Write("sparse/cameras.txt", "1 FOV 640 480 500 500 320 240 0.9\n"),
+                Write("sparse/images.txt", "1 1 0 0 0 0 0 2 1 plate_000.jpg\n\n"),
+            ],
+            "calibrate",
+            1,
+            "reading the cameras of sparse: camera 1 has the model `FOV`",
+            "use SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV or FULL_OPENCV without k4 … k6, or undistort the images (`colmap image_undistorter`)",
+        ),
+        case(
+            "no model",
+            &[Set("[calibrate]\nimport = \"sparse\"\n")],
+            "calibrate",
+            1,
+            "opening an input of stage `calibrate`: ./sparse/cameras.txt: No such file or directory (os error 2)",
+            "check the name and the folder in pipeline.toml",
+        ),
+        case(
+            "no project of fSpy",
+            &[Set("[calibrate]\nimport = \"room.fspy\"\n"), Write("room.fspy", "fspy, or is it?\n")],
+            "calibrate",
+            1,
+            "reading the cameras of room.fspy: is cut short or no project of fSpy",
+            "export it again",
+        ),
+    ]);
+}

@@ -196,6 +196,14 @@ fn vignetting_must_be_a_lens_s() {
             "give a number from -2 to 2; without it, it is 0, 0, 0",
         ),
         case(
+            "vignetting that one photograph of the grid does not tell",
+            &[Set("[ingest.roles]\ngrid = [\"calib_00.jpg\"]\n[response]\nestimate_vignetting = true\n")],
+            "insitu run case.toml --to response",
+            1,
+            "estimating the vignetting from photographs of the grid: the white squares of 1 photographs of the grid leave the light in the picture's corners uncertain by # %, at most 2 % is allowed",
+            "photograph the grid in all parts of the picture, its corners too, its paper neither clipped nor in patchy light; or an even surface (role `flat`)",
+        ),
+        case(
             "flat field clipped",
             &[
                 Flat("plate_001", 255),

@@ -1,13 +1,14 @@
 //! Time and memory on large frames, each program in a process of its own.
 
 use super::subject::Subject;
+use crate::bench::spread;
 use crate::config;
 use crate::error::{Context as _, Error, FileContext, Result};
 use crate::exposure::{Frame, Room, Stored, decode_each};
 use crate::merge::{Problem, merge_in_bands};
 use crate::printer::Printer;
 use crate::response::{Sampled, fit_sampled};
-use crate::stage::peak_memory_mib;
+use crate::stage::{cpu_time_s, peak_memory_mib};
 use crate::vision::hdr::{Exposures, Method};
 use image::{ExtendedColorType, ImageEncoder, RgbImage, codecs::jpeg::JpegEncoder, imageops};
 use std::path::{Path, PathBuf};
@@ -19,38 +20,49 @@ const SIZE: (u32, u32) = (4000, 3000);
 const DOING: &str = "timing large frames";
 const LIST: &str = "exposures.txt";
 
-/// The programs, by the names that [`merge_cost`] knows.
-const PROGRAMS: [&str; 3] = ["insitu", "opencv-debevec", "opencv-robertson"];
+/// The programs, by the names that [`merge_cost`] knows; how often each runs.
+const PROGRAMS: [&str; 2] = ["insitu", "opencv-debevec"];
+const RUNS: usize = 3;
 
-/// Prints a line for each program: seconds and peak memory from JPEG files to radiance, and both against OpenCV's
-/// `CalibrateDebevec` and `MergeDebevec`.
+/// Prints a line for each program: seconds by the clock and of the processor, and peak memory, from JPEG files to radiance, medians
+/// of runs in turn; and what they are against OpenCV's `CalibrateDebevec` and `MergeDebevec`.
 pub(super) fn print(subject: &Subject, printer: &Printer) -> Result<()> {
     let folder = tempfile::tempdir().at(DOING, Path::new("a temporary folder"))?;
     enlarge(subject, folder.path())?;
     printer.data(&format!(
-        "\n{}: {FRAMES} frames enlarged to {}×{} px, from JPEG files to radiance; each in a process of its own\n{:<20}{:>8}{:>12}{:>12}{:>14}",
-        subject.name, SIZE.0, SIZE.1, "", "s", "peak, MiB", "time ratio", "memory ratio"
+        "\n{}: {FRAMES} frames enlarged to {}×{} px, from JPEG files to radiance; each {RUNS} times in a process of its own, in turn\n{:<16}{:>20}{:>8}{:>14}{:>8}{:>12}{:>8}",
+        subject.name, SIZE.0, SIZE.1, "", "s", "ratio", "processor, s", "ratio", "peak, MiB", "ratio"
     ));
-    let mut costs = Vec::new();
-    for program in PROGRAMS {
-        let own = std::env::current_exe().at(DOING, folder.path())?;
-        let output =
-            Command::new(&own).args(["merge-cost", program]).arg(folder.path()).output().at(DOING, &own)?;
-        let text = String::from_utf8_lossy(&output.stdout);
-        let numbers: Vec<f64> = text.split_whitespace().filter_map(|w| w.parse().ok()).collect();
-        let [seconds, memory] = numbers[..] else {
-            return Err(Error::Bug(format!(
-                "{program} told no cost: {}",
-                String::from_utf8_lossy(&output.stderr).trim()
-            )));
-        };
-        costs.push((program, seconds, memory));
+    let mut costs: [[Vec<f64>; 3]; PROGRAMS.len()] = Default::default();
+    for _ in 0..RUNS {
+        for (program, cost) in PROGRAMS.iter().zip(&mut costs) {
+            cost.iter_mut().zip(measured(program, folder.path())?).for_each(|(all, one)| all.push(one));
+        }
     }
-    let (_, seconds, memory) = costs[1];
-    for (program, s, m) in costs {
-        printer.data(&format!("{program:<20}{s:>8.1}{m:>12.0}{:>12.2}{:>14.2}", s / seconds, m / memory));
+    let costs = costs.map(|cost| cost.map(|mut all| spread(&mut all)));
+    for (program, cost) in PROGRAMS.iter().zip(&costs) {
+        let [[s, least, most], [processor, ..], [memory, ..]] = *cost;
+        let ratio = |k: usize| cost[k][0] / costs[1][k][0];
+        printer.data(&format!(
+            "{program:<16}{:>20}{:>8.2}{processor:>14.1}{:>8.2}{memory:>12.0}{:>8.2}",
+            format!("{s:.1} ({least:.1}–{most:.1})"),
+            ratio(0),
+            ratio(1),
+            ratio(2)
+        ));
     }
     Ok(())
+}
+
+/// Seconds, processor's seconds and MiB of a program's run.
+fn measured(program: &str, folder: &Path) -> Result<[f64; 3]> {
+    let own = std::env::current_exe().at(DOING, folder)?;
+    let output = Command::new(&own).args(["merge-cost", program]).arg(folder).output().at(DOING, &own)?;
+    let text = String::from_utf8_lossy(&output.stdout);
+    let numbers: Vec<f64> = text.split_whitespace().filter_map(|w| w.parse().ok()).collect();
+    numbers[..].try_into().map_err(|_| {
+        Error::Bug(format!("{program} told no cost: {}", String::from_utf8_lossy(&output.stderr).trim()))
+    })
 }
 
 fn enlarge(subject: &Subject, folder: &Path) -> Result<()> {
@@ -73,18 +85,17 @@ fn enlarge(subject: &Subject, folder: &Path) -> Result<()> {
     std::fs::write(&path, list).at(DOING, &path)
 }
 
-/// One program's cost on a folder that [`print`] has filled: `seconds MiB`.
+/// One program's cost on a folder that [`print`] has filled: seconds, processor's seconds, MiB.
 pub(in crate::bench) fn merge_cost(program: &str, folder: &Path, printer: &Printer) -> Result<()> {
     let list = folder.join(LIST);
     let text = std::fs::read_to_string(&list).at(DOING, &list)?;
     let exposures = text.lines().filter_map(|l| l.parse::<f64>().ok());
     let files: Vec<(PathBuf, f64)> =
         exposures.enumerate().map(|(i, e)| (folder.join(format!("{i}.jpg")), e)).collect();
-    let started = Instant::now();
+    let (started, before) = (Instant::now(), cpu_time_s());
     match program {
         "insitu" => ours(&files)?,
-        "opencv-debevec" => theirs(&files, Method::Debevec)?,
-        "opencv-robertson" => theirs(&files, Method::Robertson)?,
+        "opencv-debevec" => theirs(&files)?,
         other => {
             return Err(Error::Usage {
                 problem: format!("no program `{other}`"),
@@ -92,7 +103,8 @@ pub(in crate::bench) fn merge_cost(program: &str, folder: &Path, printer: &Print
             });
         }
     }
-    printer.data(&format!("{} {}", started.elapsed().as_secs_f64(), peak_memory_mib()));
+    let seconds = started.elapsed().as_secs_f64();
+    printer.data(&format!("{seconds} {} {}", cpu_time_s() - before, peak_memory_mib()));
     Ok(())
 }
 
@@ -116,9 +128,9 @@ fn ours(files: &[(PathBuf, f64)]) -> Result<()> {
     Ok(())
 }
 
-fn theirs(files: &[(PathBuf, f64)], method: Method) -> Result<()> {
+fn theirs(files: &[(PathBuf, f64)]) -> Result<()> {
     let files: Vec<(&Path, f64)> = files.iter().map(|(p, e)| (p.as_path(), *e)).collect();
     let exposures = Exposures::read(&files).doing("reading by OpenCV")?;
-    std::hint::black_box(exposures.merge_for_cost(method).doing("merging by OpenCV")?);
+    std::hint::black_box(exposures.merge_for_cost(Method::Debevec).doing("merging by OpenCV")?);
     Ok(())
 }

@@ -23,17 +23,15 @@ use std::time::Instant;
 
 pub(super) use cost::merge_cost;
 
-/// Prints the table of every capture and folder of exposures named, then time and memory on large frames.
+/// Prints the table of every capture and folder of exposures named.
 pub(super) fn print(paths: &[PathBuf], printer: &Printer) -> Result<()> {
-    let mut largest: Option<Subject> = None;
-    for subject in subjects(paths, printer)? {
-        one(&subject, printer)?;
-        // The more exposures, the fewer are repeated.
-        if largest.as_ref().is_none_or(|l| l.images.len() < subject.images.len()) {
-            largest = Some(subject);
-        }
-    }
-    largest.map_or(Ok(()), |subject| cost::print(&subject, printer))
+    subjects(paths, printer)?.iter().try_for_each(|subject| one(subject, printer))
+}
+
+/// Prints time and memory on large frames, made of the most exposures of one view: the more, the fewer are repeated.
+pub(super) fn print_cost(paths: &[PathBuf], printer: &Printer) -> Result<()> {
+    let most = subjects(paths, printer)?.into_iter().max_by_key(|subject| subject.images.len());
+    most.map_or(Ok(()), |subject| cost::print(&subject, printer))
 }
 
 /// Prints how the curve of each varies with what it is fitted to.
