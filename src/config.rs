@@ -177,7 +177,7 @@ settings! {
         clip: f32 = 0.985,
         /// Whether frames are brought over each other.
         align: bool = true,
-        /// Whether what moved is left out of the frames in which it differs.
+        /// Whether what moved is left out of the frames in which it differs; of the plate alone.
         deghost: bool = true,
     }
 }

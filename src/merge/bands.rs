@@ -180,8 +180,9 @@ impl View<'_> {
             variance: Image::from_fn(width, rows.len(), |_, _| [0.0; 3]),
             clipped: Image::from_fn(width, rows.len(), |_, _| false),
         };
-        for (to, i) in inner.clone().enumerate() {
-            let without = left_out.pixels()[i];
+        let mut stays_out = Vec::with_capacity(inner.len());
+        for (to, i) in inner.enumerate() {
+            let without = self.left_out(&codes, i, left_out.pixels()[i], &mut readings);
             let (x, y) = (to % width, rows.start + to / width);
             let fall_off = self.vignetting.map(|v| v.of_pixel(x, y, self.size));
             for (channel, estimated) in estimates[i].iter_mut().enumerate() {
@@ -195,10 +196,26 @@ impl View<'_> {
                 merged.clipped.pixels_mut()[to] |= estimated.clipped;
             }
             counts.pixel(self, &codes, (x, y), i, &estimates[i], without);
+            stays_out.push(without);
         }
-        let left_out = left_out.pixels()[inner].iter().map(|bits| self.as_given(*bits)).collect();
+        let left_out = stays_out.into_iter().map(|bits| self.as_given(bits)).collect();
         let left_out = Image::from_pixels(width, rows.len(), left_out);
         Ok((Band { top: rows.start, merged, left_out }, counts))
+    }
+
+    /// Of the frames that a pixel's surroundings want left out: none where all others are saturated and these say that
+    /// there is more, which agrees. Around a small light JPEG rings in frames that are black otherwise.
+    fn left_out(&self, codes: &[CodeImage], i: usize, wanted: u64, readings: &mut Vec<Reading>) -> u64 {
+        let mut estimated = |channel, without| {
+            self.read(codes, i, channel, without, readings);
+            estimate(readings, &self.noise, channel)
+        };
+        let agree = wanted != 0
+            && (0..3).any(|channel| {
+                let (rest, all) = (estimated(channel, wanted), estimated(channel, 0));
+                rest.clipped && !all.clipped && all.radiance > rest.radiance
+            });
+        if agree { 0 } else { wanted }
     }
 
     /// Bits of frames in the order in which they were given.

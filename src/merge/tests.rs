@@ -281,3 +281,36 @@ fn a_frame_that_is_clipped_where_longer_ones_are_not_is_no_lower_bound() {
         assert!(!merged.clipped.at(x, y));
     }
 }
+
+#[test]
+fn a_small_lamp_that_two_short_frames_alone_hold_is_not_lost_to_their_ringing() {
+    const LAMP: f32 = 300.0;
+    let exposures = [1.0 / 512.0, 1.0 / 128.0, 1.0 / 32.0, 0.25, 1.0];
+    let response = Response::srgb();
+    let lamp = |x: usize, y: usize| (10..12).contains(&x) && (10..12).contains(&y);
+    let near = |x: usize, y: usize| (8..16).contains(&x) && (8..16).contains(&y);
+    let images: Vec<CodeImage> = exposures
+        .iter()
+        .map(|e| {
+            Image::from_fn(24, 24, |x, y| {
+                let seen = if lamp(x, y) { LAMP } else { 0.3 };
+                let code = response.code_of([seen * *e; 3]).map(|c| (c * 255.0).round() / 255.0);
+                // What JPEG leaves in the lamp's block.
+                let rings = near(x, y) && !lamp(x, y) && (x + y).is_multiple_of(2);
+                Code(code.map(|c| if rings { c.max(10.0 / 255.0) } else { c }))
+            })
+        })
+        .collect();
+    let frames: Vec<_> = (images.iter().zip(exposures))
+        .map(|(codes, exposure)| Frame { codes, exposure: f64::from(exposure) })
+        .collect();
+    let merged = merge(&frames, &response, 1.0, &config::Merge::default()).unwrap();
+    for (x, y) in (10..12).flat_map(|y| (10..12).map(move |x| (x, y))) {
+        assert!(!merged.clipped.at(x, y));
+        let seen = merged.radiance.at(x, y).0;
+        assert!(seen.iter().all(|v| (v / LAMP - 1.0).abs() < 0.03), "{x} {y}: {seen:?}");
+    }
+    // The ringing itself is not believed.
+    let seen = merged.radiance.at(8, 8).0;
+    assert!(seen.iter().all(|v| (v / 0.3 - 1.0).abs() < 0.06), "{seen:?}");
+}

@@ -1,6 +1,7 @@
 //! The probe's exposures as one picture: by the same exposures from pixels, alignment and merging as the plate's.
 
 use super::Problem;
+use crate::config;
 use crate::error::{Context as _, Result};
 use crate::exposure::{self, Capture, Photo, Photograph};
 use crate::image::{Radiance, RadianceImage};
@@ -26,8 +27,10 @@ pub fn merged(ctx: &Context, capture: &Capture, photos: &[&Photo], response: &Re
         return Ok(in_plate_units(&image, photo.exposure.map_or(unit, |e| e.scale()), unit));
     }
     let series = Series::read(ctx, capture, photos.to_vec(), response, unit)?;
+    // A lamp is a few pixels here: what looks like motion is a lamp half a pixel off, and its light must not be lost.
+    let settings = config::Merge { deghost: false, ..ctx.pipeline.merge.clone() };
     series
-        .aligned(|frames, _| merge::merge(frames, response, unit, &ctx.pipeline.merge))
+        .aligned(|frames, _| merge::merge(frames, response, unit, &settings))
         .doing("merging the probe's exposures")
 }
 
