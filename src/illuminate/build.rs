@@ -2,6 +2,7 @@
 
 use super::distant::{self, Distant, Layer};
 use super::gather::Gather;
+use super::lamps;
 use super::mesh::{FaceMesh, assemble, graded};
 use super::patch::{Evidence, LightModel, PatchMesh};
 use super::project::{self, PlateSamples, Projected, Samples};
@@ -44,7 +45,7 @@ const REFINEMENTS: usize = 4;
 /// Texels so near to a known emitter may hold its light: a pixel's width and one of resampling.
 const BESIDE: usize = 2;
 /// What sends so many times the light that it gets shines by itself.
-const SHINES: f32 = 3.0;
+pub(super) const SHINES: f32 = 3.0;
 /// Below this share of the sphere, gaps are cracks of the model and not the sky.
 const MIN_OPEN: f64 = 0.005;
 
@@ -118,8 +119,10 @@ pub fn build(
     for m in meshes.iter_mut().flatten() {
         m.refine(|p| graded(settings.max_edge_m, p));
     }
-    let env = &without_known(env, &meshes, known);
-    let mut stage = Stage::new(&meshes, env, plate, known);
+    let primitives = primitives(faces);
+    let mut emitters = known.faces.clone();
+    let mut env = without_known(env, &meshes, &emitters, &probe_blur);
+    let mut stage = Stage::new(&meshes, &env, plate, &emitters);
     for _ in 0..REFINEMENTS {
         let sizes = stage.sizes(settings);
         if sizes.iter().all(Option::is_none) {
@@ -141,10 +144,29 @@ pub fn build(
                 });
             }
         }
-        stage = Stage::new(&meshes, env, plate, known);
+        stage = Stage::new(&meshes, &env, plate, &emitters);
     }
-    let primitives = primitives(faces);
-    Ok(stage.finish(env, known, settings, &primitives, probe_blur))
+    let mut lamps = 0;
+    loop {
+        let distant = stage.distant(&env, known, settings, &probe_blur);
+        let lamp = lamps::strongest(
+            &stage.mesh,
+            &stage.bvh,
+            &distant.0.sources,
+            &env,
+            &primitives,
+            &emitters,
+            &probe_blur,
+        );
+        let Some(lamp) = lamp else { return Ok(stage.finish(distant, settings, &primitives, lamps)) };
+        lamps += 1;
+        for face in lamp.faces.keys() {
+            meshes[*face as usize].iter_mut().for_each(|m| m.shift(lamp.offset));
+        }
+        emitters.extend(lamp.faces);
+        env = without_known(&env, &meshes, &emitters, &probe_blur);
+        stage = Stage::new(&meshes, &env, plate, &emitters);
+    }
 }
 
 /// Whether a patch sends far more light than it gets.
@@ -178,14 +200,19 @@ struct Stage {
 }
 
 impl Stage {
-    fn new(meshes: &[Option<FaceMesh>], env: &Environment, plate: Option<&Plate>, known: &Known) -> Self {
+    fn new(
+        meshes: &[Option<FaceMesh>],
+        env: &Environment,
+        plate: Option<&Plate>,
+        emitters: &BTreeMap<u32, [f32; 3]>,
+    ) -> Self {
         let mut mesh = assemble(meshes);
         let bvh = Bvh::new(&mesh.vertices, &mesh.triangles());
         let mut projected = project::from_probe(env, &mesh, &bvh);
         let plate = plate.map(|p| project::from_plate(p.camera, p.radiance, p.clipped, &mesh, &bvh));
         let mut ratios = Vec::new();
         for i in 0..mesh.patches.len() {
-            if let Some(radiance) = known.faces.get(&mesh.patches[i].face) {
+            if let Some(radiance) = emitters.get(&mesh.patches[i].face) {
                 projected.samples[i] = Samples::default();
                 (mesh.patches[i].radiance, mesh.patches[i].evidence) = (*radiance, Evidence::Probe);
                 continue;
@@ -232,16 +259,11 @@ impl Stage {
 
     fn finish(
         mut self,
-        env: &Environment,
-        known: &Known,
+        (distant, picture, open): (Distant, RadianceImage, f64),
         settings: &config::Illuminate,
         primitives: &[usize],
-        probe_blur: impl Fn(Vec3) -> f64,
+        small_lamps: usize,
     ) -> Built {
-        let (distant, picture, open) = match &known.sky {
-            Some(sky) => whole_sky(sky, settings),
-            None => self.distant(env, settings, probe_blur),
-        };
         let mut seen: Vec<bool> =
             self.mesh.patches.iter().map(|p| p.evidence != Evidence::Gathered).collect();
         let mut gather = Gather::new(&self.mesh, &distant.sources, &self.bvh, |i| seen[i]);
@@ -280,6 +302,7 @@ impl Stage {
         }
         let mut figures = self.figures(&distant, open, excess / area, reflected / area);
         figures.push(("lamps_completed", lamps as f64));
+        figures.push(("small_lamps", small_lamps as f64));
         figures.push(("reflectance_excess", beyond / area));
         let light = LightModel { mesh: self.mesh, distant: distant.sources };
         Built { light, distant_picture: picture, irradiance, figures }
@@ -320,12 +343,17 @@ impl Stage {
         lamps.iter().flatten().count()
     }
 
+    /// The distant light, its picture, and the share of the sphere that it has.
     fn distant(
         &self,
         env: &Environment,
+        known: &Known,
         settings: &config::Illuminate,
         probe_blur: impl Fn(Vec3) -> f64,
     ) -> (Distant, RadianceImage, f64) {
+        if let Some(sky) = &known.sky {
+            return whole_sky(sky, settings);
+        }
         let free = &self.projected.free;
         let open = (0..free.len()).map(|i| env.solid_angle(i) * f64::from(free[i])).sum::<f64>()
             / (4.0 * std::f64::consts::PI);
@@ -373,11 +401,16 @@ impl Stage {
     }
 }
 
-/// The environment blind where it shows a known emitter or borders on one: a texel there holds light that is known already,
-/// and would put it a second time on what lies beside or behind.
-fn without_known(env: &Environment, meshes: &[Option<FaceMesh>], known: &Known) -> Environment {
+/// The environment blind where it shows a known emitter or blurs one: a texel there holds light that is known already, and would
+/// put it a second time on what lies beside or behind.
+fn without_known(
+    env: &Environment,
+    meshes: &[Option<FaceMesh>],
+    emitters: &BTreeMap<u32, [f32; 3]>,
+    probe_blur: impl Fn(Vec3) -> f64,
+) -> Environment {
     let mut masked = env.clone();
-    if known.faces.is_empty() {
+    if emitters.is_empty() {
         return masked;
     }
     let mesh = assemble(meshes);
@@ -386,16 +419,18 @@ fn without_known(env: &Environment, meshes: &[Option<FaceMesh>], known: &Known) 
         .into_par_iter()
         .map(|i| {
             let hit = bvh.closest(env.origin[i], env.direction(i), 0.0, f32::MAX);
-            hit.is_some_and(|h| known.faces.contains_key(&mesh.patches[h.triangle as usize].face))
+            hit.is_some_and(|h| emitters.contains_key(&mesh.patches[h.triangle as usize].face))
         })
         .collect();
     let (w, h) = env.size();
     for i in (0..w * h).filter(|&i| shows[i]) {
         let (x, y) = (i % w, i / w);
-        for v in y.saturating_sub(BESIDE)..(y + BESIDE + 1).min(h) {
+        let blurred = lamps::REACH * probe_blur(env.direction(i)) * h as f64 / std::f64::consts::PI;
+        let beside = (blurred.ceil() as usize).max(BESIDE);
+        for v in y.saturating_sub(beside)..(y + beside + 1).min(h) {
             // Columns crowd together towards the poles.
             let polar = std::f64::consts::PI * (v as f64 + 0.5) / h as f64;
-            let reach = ((BESIDE as f64 / polar.sin()).ceil() as usize).min(w / 2);
+            let reach = ((beside as f64 / polar.sin()).ceil() as usize).min(w / 2);
             for u in 0..=2 * reach {
                 masked.weight[v * w + (x + w + u - reach) % w] = 0.0;
             }

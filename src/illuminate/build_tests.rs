@@ -38,6 +38,48 @@ fn a_rooms_radiance_is_recovered_and_its_lamp_resolved() {
 }
 
 #[test]
+fn white_furnace_gives_each_surface_its_reflectance() {
+    // A box in a room that sends 2 1 0.5 from everywhere: each side of it gets π L and sends ρ L.
+    let (rho, around) = ([0.2f32, 0.5, 0.8], [2.0f32, 1.0, 0.5]);
+    let own: [f32; 3] = std::array::from_fn(|k| rho[k] * around[k]);
+    let mut faces = room::faces(4.0, 2.5, 4.0);
+    for mut f in room::faces(0.5, 0.5, 0.5) {
+        f.vertices.reverse();
+        f.vertices.iter_mut().for_each(|v| v.y += 0.8);
+        f.name = f.name.replace("room", "box");
+        faces.push(f);
+    }
+    let triangles = crate::model::face::triangulate(&faces);
+    let bvh = Bvh::new(&triangles.vertices, &triangles.triangles);
+    let mut sides = std::collections::BTreeSet::new();
+    for at in [Vec3::new(1.2, 1.9, 1.1), Vec3::new(-1.2, 0.2, -1.1)] {
+        let env = Environment::from_fn(512, at, |d| {
+            let p = at + d * bvh.closest(at, d, 0.0, f32::MAX).unwrap().t;
+            if p.x.abs() < 0.3 && (p.y - 1.05).abs() < 0.3 && p.z.abs() < 0.3 { own } else { around }
+        });
+        let built = build(&faces, &env, None, &Known::default(), &Default::default(), |_| 0.0).unwrap();
+        let mesh = &built.light.mesh;
+        for i in (0..mesh.patches.len()).filter(|i| mesh.patches[*i].face >= 6) {
+            let patch = &mesh.patches[i];
+            for k in 0..3 {
+                let e = built.irradiance[i][k] / (std::f32::consts::PI * around[k]);
+                assert!((e - 1.0).abs() < 1e-3, "irradiance of patch {i}: {e}");
+            }
+            // At the outline texels show box and room.
+            let whole = patch.evidence == Evidence::Probe && (patch.radiance[0] / own[0] - 1.0).abs() < 1e-6;
+            if whole {
+                sides.insert(patch.face);
+                for k in 0..3 {
+                    let r = patch.reflectance[k] / rho[k];
+                    assert!((r - 1.0).abs() < 1e-3, "reflectance of patch {i}: {r}");
+                }
+            }
+        }
+    }
+    assert_eq!(sides.len(), 6, "every side is seen");
+}
+
+#[test]
 fn a_good_model_explains_its_pictures_and_a_lamp_that_is_missing_shows() {
     use crate::illuminate::check::check;
     let (env, at) = (environment(Vec3::new(0.3, 0.6, -0.4)), Vec3::new(0.3, 0.6, -0.4));
@@ -75,7 +117,7 @@ fn a_lamp_shines_to_its_unseen_side_too() {
         [if lamp { 60.0 } else { 0.5 }; 3]
     });
     let built = build(&faces, &env, None, &Known::default(), &Default::default(), |_| 0.0).unwrap();
-    assert_eq!(built.figure("lamps_completed"), Some(1.0));
+    assert_eq!((built.figure("small_lamps"), built.figure("lamps_completed")), (Some(0.0), Some(1.0)));
     let mesh = &built.light.mesh;
     let lamp: Vec<usize> = (0..mesh.patches.len()).filter(|i| mesh.patches[*i].face >= 6).collect();
     // Borders of what is seen mix with what is behind.
@@ -85,6 +127,56 @@ fn a_lamp_shines_to_its_unseen_side_too() {
     }
     let sent: f64 = lamp.iter().map(|&i| power(mesh, i)).sum();
     assert!((sent / (60.0 * 0.24) - 1.0).abs() < 0.2, "{sent}");
+}
+
+#[test]
+fn a_small_lamp_gets_the_light_that_the_probe_blurs_beside_it() {
+    // A box of light of 12 cm before a wall; the probe shows it as wide again as it is, and 2 cm beside where the model has it.
+    let (at, lamp, radiance) = (Vec3::new(0.3, 0.6, -0.4), Vec3::new(1.2, 1.3, 1.6), 300.0f32);
+    let mut faces = room::faces(4.0, 2.5, 4.0);
+    for mut f in room::faces(0.12, 0.12, 0.12) {
+        f.vertices.reverse();
+        f.vertices.iter_mut().for_each(|v| {
+            (v.x, v.y, v.z) =
+                (v.x + f64::from(lamp.x), v.y - 0.06 + f64::from(lamp.y), v.z + f64::from(lamp.z));
+        });
+        f.name = f.name.replace("room", "lamp");
+        faces.push(f);
+    }
+    let triangles = crate::model::face::triangulate(&faces);
+    let bvh = Bvh::new(&triangles.vertices, &triangles.triangles);
+    let view = (lamp - at).normalize();
+    let beside = view.cross(Vec3::Y).normalize() * 0.02;
+    let shows = |d: Vec3| {
+        let d = (d - beside / lamp.distance(at)).normalize();
+        (at + d * bvh.closest(at, d, 0.0, f32::MAX).unwrap().t).distance(lamp) < 0.11
+    };
+    let blur = 0.012f32;
+    let env = Environment::from_fn(512, at, |d| {
+        let (u, v) = d.any_orthonormal_pair();
+        let mut light = 0.0;
+        for i in 0..64 {
+            // A disc of 2 σ has the variance σ² along each axis.
+            let (r, turn) = (2.0 * blur * ((i as f32 + 0.5) / 64.0).sqrt(), 2.399_963 * i as f32);
+            let near = (d + (u * turn.cos() + v * turn.sin()) * r).normalize();
+            light += if shows(near) { radiance } else { 0.5 } / 64.0;
+        }
+        [light; 3]
+    });
+    let built =
+        build(&faces, &env, None, &Known::default(), &Default::default(), |_| f64::from(blur)).unwrap();
+    assert_eq!((built.figure("small_lamps"), built.figure("lamps_completed")), (Some(1.0), Some(0.0)));
+    let mesh = &built.light.mesh;
+    for p in &mesh.patches {
+        match p.face {
+            6.. => assert!((p.radiance[0] / radiance - 1.0).abs() < 0.05, "{:?}", p.radiance),
+            _ => assert!(p.radiance[0] < 1.5, "the wall shows none of it: {:?}", p.radiance),
+        }
+    }
+    let own: Vec<usize> = (0..mesh.patches.len()).filter(|i| mesh.patches[*i].face >= 6).collect();
+    let area: f32 = own.iter().map(|i| mesh.area(*i)).sum();
+    let middle: Vec3 = own.iter().map(|i| mesh.centroid(*i) * (mesh.area(*i) / area)).sum();
+    assert!((middle - lamp - beside).length() < 4e-3, "{} of {beside}", middle - lamp);
 }
 
 #[test]

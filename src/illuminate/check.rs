@@ -5,9 +5,9 @@
 //! place (a shadow that it lacks, a lamp too faint on one side) or texture, and texture has no mean.
 
 use super::build::{Plate, shines};
-use super::patch::{Evidence, LightModel};
+use super::patch::{Evidence, LightModel, PatchMesh};
 use crate::image::{Image, Radiance, RadianceImage, luminance};
-use crate::probe::Environment;
+use crate::probe::{Environment, latlong};
 use crate::visibility::Bvh;
 use glam::Vec3;
 use nalgebra::Point2;
@@ -47,16 +47,25 @@ pub fn check(
     let mesh = &light.mesh;
     let bvh = Bvh::new(&mesh.vertices, &mesh.triangles());
     let reflectance = by_face(light, irradiance);
-    let predicted = |i: usize| -> Option<[f32; 3]> {
-        let patch = &mesh.patches[i];
-        if shines(patch.radiance, irradiance[i]) {
-            return Some(patch.radiance);
+    let lit = |i: usize, irradiance: [f32; 3]| -> Option<[f32; 3]> {
+        let rho = reflectance.get(&mesh.patches[i].face)?;
+        Some(std::array::from_fn(|k| rho[k] * irradiance[k] / PI))
+    };
+    let predicted = |i: usize| match shines(mesh.patches[i].radiance, irradiance[i]) {
+        true => Some(mesh.patches[i].radiance),
+        false => lit(i, irradiance[i]),
+    };
+    // Between the patches' middles, so that what the map shows is no mesh.
+    let at_vertices = at_vertices(mesh, irradiance);
+    let within = |i: usize, weights: [f32; 3]| match shines(mesh.patches[i].radiance, irradiance[i]) {
+        true => Some(mesh.patches[i].radiance),
+        false => {
+            let corners = mesh.patches[i].vertices.map(|v| at_vertices[v as usize]);
+            lit(i, std::array::from_fn(|k| (0..3).map(|c| weights[c] * corners[c][k]).sum()))
         }
-        let rho = reflectance.get(&patch.face)?;
-        Some(std::array::from_fn(|k| rho[k] * irradiance[i][k] / PI))
     };
     let (picture, plate_residual) = match plate {
-        Some(plate) => plate_picture(plate, mesh, &bvh, predicted),
+        Some(plate) => plate_picture(plate, mesh, &bvh, within),
         None => (Image::from_fn(0, 0, |_, _| Radiance::default()), Image::from_fn(0, 0, |_, _| 0.0)),
     };
     let (probe, probe_residual) = probe_picture(light, env, distant, &bvh);
@@ -98,6 +107,20 @@ pub fn check(
         figures.push(("predicted_over_probe_power", sum(&probe) / there));
     }
     Check { plate: picture, plate_residual, probe, probe_residual, figures, worst_face }
+}
+
+/// Irradiance at each vertex: the mean of the patches around, by area.
+fn at_vertices(mesh: &PatchMesh, irradiance: &[[f32; 3]]) -> Vec<[f32; 3]> {
+    let mut sums = vec![([0.0f32; 3], 0.0f32); mesh.vertices.len()];
+    for (i, patch) in mesh.patches.iter().enumerate() {
+        let area = mesh.area(i);
+        for v in patch.vertices {
+            let (sum, all) = &mut sums[v as usize];
+            (0..3).for_each(|k| sum[k] += area * irradiance[i][k]);
+            *all += area;
+        }
+    }
+    sums.into_iter().map(|(sum, all)| sum.map(|s| s / all.max(f32::MIN_POSITIVE))).collect()
 }
 
 /// A value of a part of a face.
@@ -164,9 +187,9 @@ fn worst(departures: &[Weighed]) -> Option<(u32, f64)> {
 
 fn plate_picture(
     plate: &Plate,
-    mesh: &super::patch::PatchMesh,
+    mesh: &PatchMesh,
     bvh: &Bvh,
-    predicted: impl Fn(usize) -> Option<[f32; 3]> + Sync,
+    predicted: impl Fn(usize, [f32; 3]) -> Option<[f32; 3]> + Sync,
 ) -> (RadianceImage, Image<f32>) {
     let (w, h) = plate.radiance.size();
     let pixels: Vec<(Radiance, f32)> = (0..w * h)
@@ -176,9 +199,11 @@ fn plate_picture(
             let (o, d) = (ray.origin, ray.direction);
             let (o, d) =
                 ([o.x, o.y, o.z].map(|v| v as f32).into(), Vec3::new(d.x as f32, d.y as f32, d.z as f32));
-            let hit = bvh.closest(o, d, 1e-3, f32::MAX).map(|h| h.triangle as usize);
-            let front = hit.filter(|i| mesh.normal(*i).dot(d) < 0.0);
-            let Some(l) = front.and_then(&predicted) else { return (Radiance::default(), 0.0) };
+            let hit = bvh.closest(o, d, 1e-3, f32::MAX);
+            let front = hit.filter(|h| mesh.normal(h.triangle as usize).dot(d) < 0.0);
+            let Some(l) = front.and_then(|h| predicted(h.triangle as usize, h.barycentric)) else {
+                return (Radiance::default(), 0.0);
+            };
             let known = !plate.clipped.pixels()[i];
             let off = if known { stops(plate.radiance.pixels()[i].0, l).unwrap_or(0.0) } else { 0.0 };
             (Radiance(l), off)
@@ -195,7 +220,6 @@ fn probe_picture(
     bvh: &Bvh,
 ) -> (RadianceImage, Image<f32>) {
     let (w, h) = env.size();
-    let (far_w, far_h) = distant.size();
     let texels: Vec<(Radiance, f32)> = (0..w * h)
         .into_par_iter()
         .map(|i| {
@@ -205,10 +229,7 @@ fn probe_picture(
                     light.mesh.patches[hit.triangle as usize].radiance
                 }
                 Some(_) => [0.0; 3],
-                None => {
-                    let (x, y) = crate::probe::latlong::pixel(d, far_w, far_h);
-                    distant.bilinear(f64::from(x), f64::from(y)).0
-                }
+                None => latlong::lookup(distant, d).0,
             };
             let sure = env.weight[i] > SURE;
             let off = if sure { stops(env.radiance.pixels()[i].0, l).unwrap_or(0.0) } else { 0.0 };

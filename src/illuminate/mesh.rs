@@ -12,6 +12,8 @@ use spade::{DelaunayTriangulation, Point2, Triangulation};
 const MAX_RATIO: f64 = std::f64::consts::SQRT_2;
 /// Coordinates on a face are multiples of this, m: midpoints of a rectangle's sides then lie exactly on them.
 const GRAIN_M: f64 = 1.0 / (1 << 24) as f64;
+/// Faces nearer to each other than this lie in one plane, m.
+const COPLANAR_M: f64 = 1e-3;
 /// Patches on one face, at most.
 const MAX_VERTICES: usize = 200_000;
 
@@ -60,9 +62,14 @@ impl FaceMesh {
         Some(Self { origin, axes, normal, triangulation, sides })
     }
 
+    /// Moves the face.
+    pub fn shift(&mut self, by: Vec3) {
+        self.origin += Vector3::new(f64::from(by.x), f64::from(by.y), f64::from(by.z));
+    }
+
     /// Position in the world, m.
     pub fn world(&self, p: Point2<f64>) -> Vec3 {
-        let w = self.origin + self.axes[0] * p.x + self.axes[1] * p.y;
+        let w = self.point(p);
         Vec3::new(w.x as f32, w.y as f32, w.z as f32)
     }
 
@@ -169,14 +176,48 @@ impl FaceMesh {
         self.triangulation.inner_faces().map(|f| f.positions()).filter(has_area)
     }
 
-    /// Appends the patches of this face.
-    pub fn append(&self, face: u32, mesh: &mut PatchMesh) {
+    /// Of the face, m².
+    fn area(&self) -> f64 {
+        let start = self.position(self.sides[0][0]);
+        let parts =
+            self.sides.iter().map(|s| doubled_area(&[start, self.position(s[0]), self.position(s[1])]));
+        parts.sum::<f64>() / 2.0
+    }
+
+    /// A point of the face, m.
+    fn point(&self, p: Point2<f64>) -> Point3<f64> {
+        self.origin + self.axes[0] * p.x + self.axes[1] * p.y
+    }
+
+    /// Whether both lie in one plane and look to the same side.
+    fn lies_on(&self, other: &Self) -> bool {
+        let normal = self.axes[0].cross(&self.axes[1]);
+        let corners = || other.sides.iter().map(|s| other.point(other.position(s[0])));
+        self.normal.dot(other.normal) > 0.0
+            && corners().all(|c| (c - self.origin).dot(&normal).abs() < COPLANAR_M)
+    }
+
+    /// Whether a point of the plane lies on the face or its border.
+    fn covers(&self, p: &Point3<f64>) -> bool {
+        let p = Point2::new((p - self.origin).dot(&self.axes[0]), (p - self.origin).dot(&self.axes[1]));
+        self.sides.iter().all(|s| {
+            let [a, b] = s.map(|v| self.position(v));
+            doubled_area(&[a, b, p]) > -COPLANAR_M * length(a, b)
+        })
+    }
+
+    /// Appends the patches of this face that do not wholly lie under one of those `above`.
+    fn append(&self, face: u32, above: &[&Self], mesh: &mut PatchMesh) {
         let base = mesh.vertices.len() as u32;
         for v in self.triangulation.vertices() {
             mesh.vertices.push(self.world(v.position()));
             mesh.normals.push(self.normal);
         }
         for f in self.triangulation.inner_faces().filter(|f| has_area(&f.positions())) {
+            let corners = f.positions().map(|p| self.point(p));
+            if above.iter().any(|other| corners.iter().all(|c| other.covers(c))) {
+                continue;
+            }
             mesh.patches.push(Patch {
                 vertices: f.vertices().map(|v| base + v.fix().index() as u32),
                 face,
@@ -188,13 +229,21 @@ impl FaceMesh {
     }
 }
 
-/// All faces as patches; those without area are left out.
+/// All faces as patches; those without area are left out, and what wholly lies under a smaller face in the same plane (a lamp
+/// drawn on the ceiling): light is there once.
 pub fn assemble(faces: &[Option<FaceMesh>]) -> PatchMesh {
     let mut mesh = PatchMesh::default();
     for (i, face) in faces.iter().enumerate() {
-        if let Some(face) = face {
-            face.append(i as u32, &mut mesh);
-        }
+        let Some(face) = face else { continue };
+        let others = faces.iter().enumerate().filter(|(j, _)| *j != i);
+        let above: Vec<&FaceMesh> = others
+            .filter_map(|(j, other)| {
+                let other = other.as_ref()?;
+                let smaller = (other.area(), j) < (face.area(), i);
+                (smaller && other.lies_on(face)).then_some(other)
+            })
+            .collect();
+        face.append(i as u32, &above, &mut mesh);
     }
     mesh
 }

@@ -77,6 +77,59 @@ fn faces_without_area_are_left_out() {
 }
 
 #[test]
+fn what_lies_under_another_face_in_its_plane_is_left_out() {
+    let floor = rectangle(4.0, 4.0);
+    let rug = |height: f64, reversed: bool| {
+        let mut face = rectangle(1.0, 1.0);
+        face.vertices.iter_mut().for_each(|v| (v.x, v.y, v.z) = (v.x + 1.0, v.y + height, v.z + 1.0));
+        if reversed {
+            face.vertices.reverse();
+        }
+        face
+    };
+    let area = |rug: &Face| {
+        let meshed = |face: &Face| {
+            let mut m = FaceMesh::new(face).unwrap();
+            m.refine(|_| 0.05);
+            m
+        };
+        total_area(&assemble(&[Some(meshed(&floor)), Some(meshed(rug))]))
+    };
+    // But for a strip at its border, which its own patches do not cover wholly.
+    assert!((16.0..16.25).contains(&area(&rug(0.0, false))), "{}", area(&rug(0.0, false)));
+    assert!((area(&rug(0.01, false)) - 17.0).abs() < 1e-4, "a table top stands above the floor");
+    assert!((area(&rug(0.0, true)) - 17.0).abs() < 1e-4, "the other side of a sheet is another surface");
+}
+
+#[test]
+fn no_ray_leaves_a_room_by_an_edge_whose_faces_are_cut_differently() {
+    let faces = crate::illuminate::room::faces(4.0, 2.5, 4.0);
+    let meshes: Vec<_> = faces
+        .iter()
+        .enumerate()
+        .map(|(i, f)| {
+            let mut m = FaceMesh::new(f).unwrap();
+            m.refine(|_| [0.07, 0.31, 0.9, 0.2, 0.53, 1.3][i]);
+            Some(m)
+        })
+        .collect();
+    let mesh = assemble(&meshes);
+    let bvh = crate::visibility::Bvh::new(&mesh.vertices, &mesh.triangles());
+    let eye = Vec3::new(0.37, 1.1, -0.53);
+    let corner = |i: usize| Vec3::new([-2.0, 2.0][i & 1], [0.0, 2.5][i >> 1 & 1], [-2.0, 2.0][i >> 2]);
+    let (mut lost, mut all) = (0, 0);
+    for (a, b) in (0..8).flat_map(|a| [1, 2, 4].map(|bit| (a, a | bit))).filter(|(a, b)| a < b) {
+        for i in 0..2000 {
+            let p = corner(a).lerp(corner(b), (i as f32 + 0.5) / 2000.0);
+            all += 1;
+            lost += usize::from(bvh.closest(eye, (p - eye).normalize(), 0.0, f32::MAX).is_none());
+        }
+    }
+    // Aimed at the very edge, where rounding decides.
+    assert!(all == 24_000 && lost * 1000 < all, "{lost} of {all}");
+}
+
+#[test]
 fn refinement_is_local() {
     let mut m = FaceMesh::new(&rectangle(4.0, 4.0)).unwrap();
     m.refine(|_| 0.5);

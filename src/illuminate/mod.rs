@@ -6,6 +6,7 @@ pub mod build;
 pub mod check;
 pub mod distant;
 pub mod gather;
+mod lamps;
 pub mod mesh;
 mod outline;
 pub mod patch;
@@ -17,7 +18,7 @@ mod stage;
 mod store;
 
 pub use stage::put_light;
-pub use store::{read_light, write_light};
+pub use store::{read_light, read_sky, write_light};
 
 /// Why no light can be put on a model.
 #[derive(Debug, thiserror::Error, PartialEq)]

@@ -38,6 +38,15 @@ pub fn neighbours(direction: Vec3, width: usize, height: usize) -> [(usize, f32)
     ]
 }
 
+/// Radiance towards a unit direction, between the texels around it.
+pub fn lookup(map: &RadianceImage, direction: Vec3) -> Radiance {
+    let mut sum = [0.0; 3];
+    for (i, weight) in neighbours(direction, map.width(), map.height()) {
+        (0..3).for_each(|k| sum[k] += weight * map.pixels()[i].0[k]);
+    }
+    Radiance(sum)
+}
+
 /// The map turned about its vertical: column `x` shows what column `x + columns` showed. Rows stay what they are, no light is lost.
 pub fn turned(map: &RadianceImage, columns: f64) -> RadianceImage {
     let (w, h) = map.size();
@@ -66,6 +75,14 @@ mod tests {
         assert!((direction(64.0, 32.0, 128, 64) - Vec3::Z).length() < 1e-6);
         assert!((direction(10.0, 0.0, 128, 64) - Vec3::Y).length() < 1e-6);
         assert!((direction(32.0, 32.0, 128, 64) - Vec3::X).length() < 1e-6, "longitude grows to the left");
+    }
+
+    #[test]
+    fn a_lookup_goes_around_the_seam() {
+        let map = Image::from_fn(64, 32, |x, _| Radiance([if x == 0 { 4.0 } else { 2.0 }; 3]));
+        // Between the last column and the first one.
+        assert!((lookup(&map, direction(0.0, 16.0, 64, 32)).0[0] - 3.0).abs() < 1e-3);
+        assert!((lookup(&map, direction(64.0, 16.0, 64, 32)).0[0] - 3.0).abs() < 1e-3);
     }
 
     #[test]
