@@ -58,7 +58,7 @@ pub const STAGES: &[Stage] = &[
     },
     Stage {
         name: "merge",
-        version: 3,
+        version: 4,
         reads: &["ingest", "response"],
         settings: &["response.exposures_from_pixels"],
         about: "merge the plate's exposures",
@@ -72,7 +72,7 @@ pub const STAGES: &[Stage] = &[
     },
     Stage {
         name: "probe",
-        version: 4,
+        version: 5,
         reads: &["ingest", "response", "calibrate"],
         settings: &["response.exposures_from_pixels", "merge", "calibrate"],
         about: "merge the probe's exposures, find the ball, unwrap it",
@@ -86,14 +86,14 @@ pub const STAGES: &[Stage] = &[
     },
     Stage {
         name: "illuminate",
-        version: 2,
+        version: 3,
         reads: &["merge", "calibrate", "probe", "model"],
         settings: &[],
         about: "carry the probe's radiance onto a patch mesh",
     },
     Stage {
         name: "irradiance",
-        version: 3,
+        version: 4,
         reads: &["illuminate"],
         settings: &["calibrate.thickness_m", "probe.support_m"],
         about: "build the irradiance volume",

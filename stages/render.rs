@@ -21,6 +21,7 @@ fn main() -> std::process::ExitCode {
         let scene: Scene = json::read(&ctx.artefact("model", "scene.json")?)?;
         let plate = exr::read_radiance(&ctx.artefact("merge", "plate.exr")?)?;
         let light = illuminate::read_light(&folder(ctx, "illuminate", &["patches.ply", "distant.json"])?)?;
+        let sky = illuminate::read_sky(&ctx.artefact("illuminate", "distant.exr")?, &light)?;
         let volume = Volume::read(&ctx.artefact("irradiance", "irradiance.ply")?)?;
         let transfers = Transfers::read(&folder(ctx, "transfer", &Transfers::FILES)?)?;
         let object = load(ctx)?;
@@ -43,6 +44,7 @@ fn main() -> std::process::ExitCode {
             camera,
             plate: &plate,
             light: &light,
+            sky: sky.as_ref(),
             light_bvh: &light_bvh,
             volume: &volume,
             scene_bvh: &scene_bvh,
@@ -66,8 +68,6 @@ fn main() -> std::process::ExitCode {
         exr::write(&ctx.output("receivers.exr"), &mask, exr::Kind::Picture)?;
         let environment = exr::Planes::from_radiance(&frame.shaded.environment.map);
         exr::write(&ctx.output("environment.exr"), &environment, exr::Kind::LatLong)?;
-        let levels = render::levels(&frame.shaded.environment);
-        exr::write(&ctx.output("prefiltered.exr"), &levels, exr::Kind::LatLong)?;
 
         let (mut shadow_ms, mut shade_ms, mut passes) = (Vec::new(), Vec::new(), Vec::new());
         for (i, motion) in render::motions(settings).doing("placing the object")?.iter().enumerate() {

@@ -2,8 +2,9 @@
 
 use super::patch::{DistantSource, Evidence, LightModel, Patch, PatchMesh};
 use crate::artefact::json::{self, JsonArtefact};
-use crate::artefact::ply;
+use crate::artefact::{exr, ply};
 use crate::error::{Error, Result};
+use crate::image::RadianceImage;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -64,6 +65,11 @@ pub fn write_light(folder: &Path, light: &LightModel) -> Result<()> {
     };
     ply::write(&folder.join("patches.ply"), &mesh)?;
     json::write(&folder.join("distant.json"), &DistantFile { sources: light.distant.clone() })
+}
+
+/// The distant light of a model as the picture beside it, `distant.exr`; `None` where the model lets none in.
+pub fn read_sky(path: &Path, light: &LightModel) -> Result<Option<RadianceImage>> {
+    if light.distant.is_empty() { Ok(None) } else { exr::read_radiance(path).map(Some) }
 }
 
 /// Reads what [`write_light`] wrote.

@@ -24,8 +24,10 @@ const LIFT_M: f32 = 0.02;
 const MAX_BEHIND: f64 = 0.5;
 /// Points that look at nodes start this far off their surface, m.
 const OFF_M: f32 = 5e-3;
-/// A strong patch of a larger solid angle than this is sampled in four parts, sr.
-const LARGE_SR: f64 = 2e-3;
+/// A strong patch is sampled in parts of at most this solid angle, sr.
+const LARGE_SR: f64 = 5e-3;
+/// Its sides are halved so many times at most.
+const HALVINGS: u32 = 4;
 const FORMAT: &str = "insitu-irradiance 1";
 
 /// Why no volume can be made.
@@ -112,16 +114,31 @@ impl Volume {
 
     /// Fills any grid, with so many rays a node.
     pub fn on_grid(light: &LightModel, grid: Grid, rays: usize) -> std::result::Result<Self, Problem> {
+        let mut strong = strong_patches(&light.mesh, |_| true);
+        strong.sort_unstable();
+        Self::filled(light, grid, rays, &strong)
+    }
+
+    /// The same by rays alone, as a reference: it takes very many.
+    pub fn by_rays(light: &LightModel, grid: Grid, rays: usize) -> std::result::Result<Self, Problem> {
+        Self::filled(light, grid, rays, &[])
+    }
+
+    /// `strong` patches, in order, are summed one by one.
+    fn filled(
+        light: &LightModel,
+        grid: Grid,
+        rays: usize,
+        strong: &[usize],
+    ) -> std::result::Result<Self, Problem> {
         let Grid { origin, spacing, size } = grid;
         let bvh = Bvh::new(&light.mesh.vertices, &light.mesh.triangles());
         let (_, soft) = beam::split(&light.distant);
-        let mut strong = strong_patches(&light.mesh, |_| true);
-        strong.sort_unstable();
         let nodes: Vec<_> = (0..size.iter().product::<usize>())
             .into_par_iter()
             .map(|i| {
                 let at = origin + spacing * index(i, size).map_vec();
-                incident(&light.mesh, &strong, &soft, &bvh, at, rays)
+                incident(&light.mesh, strong, &soft, &bvh, at, rays)
             })
             .collect();
         if nodes.iter().all(Option::is_none) {
@@ -221,6 +238,14 @@ impl Volume {
     pub fn open(&self) -> impl Iterator<Item = (Vec3, sh::Coefficients)> + '_ {
         let place = |i: usize| self.origin + self.spacing * index(i, self.size).map_vec();
         self.nodes.iter().enumerate().filter_map(move |(i, n)| n.map(|n| (place(i), n)))
+    }
+
+    /// The open node nearest to the middle of the region that an object may move in.
+    pub fn middle(&self) -> Option<Vec3> {
+        let last = Vec3::from_array(self.size.map(|n| (n - 1) as f32));
+        let middle = self.origin + self.spacing * last / 2.0;
+        let places = self.open().map(|(place, _)| place);
+        places.min_by(|a, b| a.distance(middle).total_cmp(&b.distance(middle)))
     }
 
     /// How many these are.
@@ -356,7 +381,7 @@ fn incident(
     for &patch in strong {
         let corners = mesh.corners(patch);
         if mesh.normal(patch).dot(corners[0] - at) < 0.0 {
-            add_patch(&mut sum, corners, mesh.patches[patch].radiance, bvh, at);
+            add_patch(&mut sum, corners, mesh.patches[patch].radiance, bvh, at, HALVINGS);
         }
     }
     for s in distant {
@@ -367,19 +392,29 @@ fn incident(
     Some(sum.coefficients())
 }
 
-/// A triangle of even radiance as seen from a point, with a ray for each part.
-fn add_patch(sum: &mut sh::Projection, [a, b, c]: [Vec3; 3], radiance: [f32; 3], bvh: &Bvh, at: Vec3) {
+/// A triangle of even radiance as seen from a point, in parts of a ray each: the more the larger it is seen, since the scene may
+/// hide some of them.
+fn add_patch(
+    sum: &mut sh::Projection,
+    corners: [Vec3; 3],
+    radiance: [f32; 3],
+    bvh: &Bvh,
+    at: Vec3,
+    halvings: u32,
+) {
+    let [a, b, c] = corners;
     let seen = |p: Vec3| (p - at).normalize_or_zero();
-    let angle = |[a, b, c]: [Vec3; 3]| spherical_triangle(seen(a), seen(b), seen(c));
-    let [ab, bc, ca] = [(a + b) / 2.0, (b + c) / 2.0, (c + a) / 2.0];
-    let parts = [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]];
-    let whole = [[a, b, c]];
-    let parts = if angle(whole[0]) > LARGE_SR { &parts[..] } else { &whole[..] };
-    for part in parts {
-        let middle = (part[0] + part[1] + part[2]) / 3.0;
-        if !bvh.any_hit(at, middle - at, 0.0, 1.0 - 1e-3) {
-            sum.add(seen(middle), radiance, angle(*part));
+    let angle = spherical_triangle(seen(a), seen(b), seen(c));
+    if angle > LARGE_SR && halvings > 0 {
+        let [ab, bc, ca] = [(a + b) / 2.0, (b + c) / 2.0, (c + a) / 2.0];
+        for part in [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]] {
+            add_patch(sum, part, radiance, bvh, at, halvings - 1);
         }
+        return;
+    }
+    let middle = (a + b + c) / 3.0;
+    if !bvh.any_hit(at, middle - at, 0.0, 1.0 - 1e-3) {
+        sum.add(seen(middle), radiance, angle);
     }
 }
 

@@ -96,6 +96,8 @@ fn nodes_inside_a_box_are_left_out() {
     }
     let v = Volume::build(&light(&faces, [1.0; 3]), 0.0, &settings()).unwrap();
     assert!(v.open_nodes() < v.len());
+    let middle = v.middle().unwrap();
+    assert!(v.open().any(|(place, _)| place == middle) && middle.distance(Vec3::new(0.0, 1.0, 0.0)) < 0.8);
     let beside = v.irradiance(Vec3::new(0.55, 0.3, 0.0), Vec3::X)[0];
     assert!((beside / PI - 1.0).abs() < 0.02, "the dark inside does not leak: {beside}");
 }

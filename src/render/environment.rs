@@ -32,34 +32,7 @@ impl Environment {
         width: usize,
         height: usize,
     ) -> Self {
-        let texels: Vec<(Radiance, f32)> = (0..width * height)
-            .into_par_iter()
-            .map(|i| {
-                let (mut sum, mut missed) = ([0.0f32; 3], 0);
-                for s in 0..SUPERSAMPLING * SUPERSAMPLING {
-                    let offset = |k: usize| (k as f32 + 0.5) / SUPERSAMPLING as f32;
-                    let direction = latlong::direction(
-                        (i % width) as f32 + offset(s % SUPERSAMPLING),
-                        (i / width) as f32 + offset(s / SUPERSAMPLING),
-                        width,
-                        height,
-                    );
-                    match bvh.closest(position, direction, 0.0, f32::INFINITY) {
-                        // Patches send light from their fronts; from behind they are black.
-                        Some(hit) if mesh.normal(hit.triangle as usize).dot(direction) < 0.0 => {
-                            let radiance = mesh.patches[hit.triangle as usize].radiance;
-                            (0..3).for_each(|k| sum[k] += radiance[k]);
-                        }
-                        Some(_) => {}
-                        None => missed += 1,
-                    }
-                }
-                let count = (SUPERSAMPLING * SUPERSAMPLING) as f32;
-                (Radiance(sum.map(|v| v / count)), missed as f32 / count)
-            })
-            .collect();
-        let (radiance, open): (Vec<_>, Vec<_>) = texels.into_iter().unzip();
-        let mut map = Image::from_pixels(width, height, radiance);
+        let (mut map, open) = Self::surfaces(mesh, bvh, position, [width, height], |_| [0.0; 3]);
         for source in distant {
             splat(
                 &mut map,
@@ -71,6 +44,62 @@ impl Environment {
             );
         }
         Self { map }
+    }
+
+    /// As [`Self::cast`], for what mirrors: what misses the mesh sees a picture of the distant light, if there is one, in the
+    /// place of a few discs.
+    pub fn cast_under(
+        light: &LightModel,
+        sky: Option<&RadianceImage>,
+        bvh: &Bvh,
+        position: Vec3,
+        width: usize,
+        height: usize,
+    ) -> Self {
+        let Some(sky) = sky else { return Self::cast(light, bvh, position, width, height) };
+        let beyond = |direction| latlong::lookup(sky, direction).0;
+        Self { map: Self::surfaces(&light.mesh, bvh, position, [width, height], beyond).0 }
+    }
+
+    /// Means over texels of what rays from `position` meet, of patches or `beyond` them, and the share that meets none.
+    fn surfaces(
+        mesh: &PatchMesh,
+        bvh: &Bvh,
+        position: Vec3,
+        [width, height]: [usize; 2],
+        beyond: impl Fn(Vec3) -> [f32; 3] + Sync,
+    ) -> (RadianceImage, Vec<f32>) {
+        let texels: Vec<(Radiance, f32)> = (0..width * height)
+            .into_par_iter()
+            .map(|i| {
+                let (mut sum, mut missed) = ([0.0f32; 3], 0);
+                let mut add = |l: [f32; 3]| (0..3).for_each(|k| sum[k] += l[k]);
+                for s in 0..SUPERSAMPLING * SUPERSAMPLING {
+                    let offset = |k: usize| (k as f32 + 0.5) / SUPERSAMPLING as f32;
+                    let direction = latlong::direction(
+                        (i % width) as f32 + offset(s % SUPERSAMPLING),
+                        (i / width) as f32 + offset(s / SUPERSAMPLING),
+                        width,
+                        height,
+                    );
+                    match bvh.closest(position, direction, 0.0, f32::INFINITY) {
+                        // Patches send light from their fronts; from behind they are black.
+                        Some(hit) if mesh.normal(hit.triangle as usize).dot(direction) < 0.0 => {
+                            add(mesh.patches[hit.triangle as usize].radiance);
+                        }
+                        Some(_) => {}
+                        None => {
+                            add(beyond(direction));
+                            missed += 1;
+                        }
+                    }
+                }
+                let count = (SUPERSAMPLING * SUPERSAMPLING) as f32;
+                (Radiance(sum.map(|v| v / count)), missed as f32 / count)
+            })
+            .collect();
+        let (radiance, open): (Vec<_>, Vec<_>) = texels.into_iter().unzip();
+        (Image::from_pixels(width, height, radiance), open)
     }
 
     /// Direction and solid angle (sr) of texel `i`'s centre.
@@ -165,6 +194,17 @@ mod tests {
         assert_eq!(above.irradiance(Vec3::Y), [0.0; 3]);
         let below = Environment::cast(&light, &bvh, -Vec3::Y, 64, 32);
         assert_eq!(below.irradiance(Vec3::Y), [0.0; 3], "the back of a patch is black");
+    }
+
+    #[test]
+    fn what_misses_the_scene_is_as_the_picture_of_the_distant_light_has_it() {
+        let sky = Image::from_fn(128, 64, |x, y| Radiance([x as f32, y as f32, 1.0]));
+        let (light, bvh) = (LightModel::default(), Bvh::new(&[], &[]));
+        let seen = Environment::cast_under(&light, Some(&sky), &bvh, Vec3::ZERO, 128, 64).map;
+        for (x, y) in [(20, 10), (64, 32), (100, 50)] {
+            let (a, b) = (seen.at(x, y).0, sky.at(x, y).0);
+            assert!((0..3).all(|k| (a[k] - b[k]).abs() < 0.01), "{a:?} {b:?}");
+        }
     }
 
     #[test]

@@ -27,7 +27,7 @@ pub use load::load_object;
 pub use object::{Material, Object, Soup, Triangle};
 pub use phong::{Lobe, directional_albedo};
 pub use placement::{check_placement, motions, world_from_object};
-pub use prefilter::{Prefiltered, levels};
+pub use prefilter::{Prefiltered, prefiltered};
 pub use reflected::Reflector;
 pub use set::{Set, Shaded};
 pub use shade::{IrradianceAt, Lighting, Shadowed};

@@ -2,19 +2,32 @@
 
 use super::environment::Environment;
 use crate::artefact::exr::Planes;
+use crate::illuminate::patch::LightModel;
 use crate::image::{Image, Radiance, RadianceImage};
 use crate::probe::latlong;
 use crate::subtractive::ggx_distribution as distribution;
+use crate::visibility::Bvh;
 use glam::Vec3;
 use rayon::prelude::*;
+use std::f32::consts::PI;
 
 /// Roughness α of GGX, and exponents of Phong, of the levels of `prefiltered.exr`.
 const ROUGHNESS: [f32; 4] = [0.1, 0.2, 0.4, 0.8];
 const EXPONENTS: [f32; 4] = [1000.0, 200.0, 50.0, 10.0];
 
-/// The planes of `prefiltered.exr`: the environment at the object's place under each lobe as seen head-on, normalised, by
-/// direction of the lobe's axis; layers `ggx_ALPHA` and `phong_EXPONENT`.
-pub fn levels(environment: &Environment) -> Planes {
+/// Width of `prefiltered.exr`, px.
+const WIDTH: usize = 128;
+
+/// The planes of `prefiltered.exr`: the environment at a place, cast from the patch mesh and a picture of
+/// the distant light, and under each lobe.
+pub fn prefiltered(light: &LightModel, sky: Option<&RadianceImage>, place: Vec3) -> Planes {
+    let bvh = Bvh::new(&light.mesh.vertices, &light.mesh.triangles());
+    levels(&Environment::cast_under(light, sky, &bvh, place, WIDTH, WIDTH / 2))
+}
+
+/// An environment under each lobe as seen head-on, normalised, by direction of the lobe's axis; layers `ggx_ALPHA` and
+/// `phong_EXPONENT`.
+fn levels(environment: &Environment) -> Planes {
     let (width, height) = environment.map.size();
     let mut planes = Planes::from_radiance(&environment.map);
     let ggx = ROUGHNESS.map(|a| (format!("ggx_{a}"), Prefiltered::ggx(environment, a)));
@@ -47,7 +60,12 @@ impl Prefiltered {
         let mean = |i: usize| {
             let axis = latlong::direction((i % width) as f32 + 0.5, (i / width) as f32 + 0.5, width, height);
             let (mut sum, mut total) = ([0.0f64; 3], 0.0f64);
-            for ((direction, solid_angle), radiance) in texels.iter().zip(environment.map.pixels()) {
+            // Rows that a narrow kernel reaches.
+            let (polar, reach) = (axis.y.clamp(-1.0, 1.0).acos(), cut.clamp(-1.0, 1.0).acos());
+            let row = |angle: f32| (angle / PI * h as f32).clamp(0.0, h as f32);
+            let rows = row(polar - reach).floor() as usize * w..row(polar + reach).ceil() as usize * w;
+            let near = texels[rows.clone()].iter().zip(&environment.map.pixels()[rows]);
+            for ((direction, solid_angle), radiance) in near {
                 let cos = axis.dot(*direction).min(1.0);
                 if cos > cut {
                     let weight = f64::from(kernel(cos) * solid_angle);
@@ -59,8 +77,7 @@ impl Prefiltered {
                 return Radiance(sum.map(|v| (v / total) as f32));
             }
             // A kernel narrower than a texel mirrors.
-            let (x, y) = latlong::pixel(axis, w, h);
-            environment.map.bilinear(f64::from(x), f64::from(y))
+            latlong::lookup(&environment.map, axis)
         };
         let pixels = (0..width * height).into_par_iter().map(mean).collect();
         Self { map: Image::from_pixels(width, height, pixels) }
@@ -81,12 +98,7 @@ impl Prefiltered {
 
     /// The mean about a unit axis: bilinear, around the seam.
     pub fn radiance(&self, axis: Vec3) -> [f32; 3] {
-        let (w, h) = self.map.size();
-        let mut sum = [0.0; 3];
-        for (i, weight) in latlong::neighbours(axis, w, h) {
-            (0..3).for_each(|k| sum[k] += weight * self.map.pixels()[i].0[k]);
-        }
-        sum
+        latlong::lookup(&self.map, axis).0
     }
 }
 

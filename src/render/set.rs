@@ -25,6 +25,8 @@ pub struct Set<'a> {
     pub plate: &'a RadianceImage,
     /// The light.
     pub light: &'a LightModel,
+    /// Its distant light as a picture, if there is any.
+    pub sky: Option<&'a RadianceImage>,
     /// Its patches, for rays.
     pub light_bvh: &'a Bvh,
     /// Irradiance of the empty scene.
@@ -55,7 +57,9 @@ impl Set<'_> {
     pub fn shade(&self, object: &Object, removed: &RadianceImage, pace: &mut Pace) -> Shaded {
         let [low, high] = object.bounds();
         let width = self.settings.environment_px.max(8);
-        let environment = Environment::cast(self.light, self.light_bvh, (low + high) / 2.0, width, width / 2);
+        let place = (low + high) / 2.0;
+        let environment =
+            Environment::cast_under(self.light, self.sky, self.light_bvh, place, width, width / 2);
         let beams = Beams::new(&self.light.distant, self.light_bvh);
         let irradiance = |position, normal| self.volume.irradiance_with(&beams, position, normal);
         let shadowed = Shadowed { camera: self.camera, plate: self.plate, removed, scene: self.scene_bvh };
