@@ -14,7 +14,8 @@ const BEFORE_M: f32 = 0.01;
 const LEAST_SHARE: f64 = 1e-3;
 
 /// Lights of the model, strongest first; `irradiance` is that of each patch. A face of radiance L and area A becomes a spot over
-/// its half-space of intensity L A / 2, which has the face's power π L A; a beam keeps its irradiance.
+/// its half-space of intensity L A: along its normal it lights as the face does, and it falls off towards the face's plane, as a
+/// face does by the cosine. A beam keeps its irradiance.
 pub fn lights(light: &LightModel, irradiance: &[[f32; 3]], name: impl Fn(u32) -> String) -> Vec<Light> {
     let mesh = &light.mesh;
     let mut faces: BTreeMap<u32, ([f32; 3], Vec3, Vec3, f32)> = BTreeMap::new();
@@ -25,7 +26,7 @@ pub fn lights(light: &LightModel, irradiance: &[[f32; 3]], name: impl Fn(u32) ->
         all += f64::from(power);
         if shines(patch.radiance, irradiance[i]) {
             let sum = faces.entry(patch.face).or_default();
-            (0..3).for_each(|k| sum.0[k] += 0.5 * patch.radiance[k] * area);
+            (0..3).for_each(|k| sum.0[k] += patch.radiance[k] * area);
             sum.1 += mesh.centroid(i) * power;
             sum.2 = mesh.normal(i);
             sum.3 += power;
@@ -59,7 +60,7 @@ mod tests {
     use crate::illuminate::room;
 
     #[test]
-    fn a_shining_ceiling_and_a_sun_keep_their_power() {
+    fn a_shining_ceiling_and_a_sun_keep_their_intensity() {
         let meshes: Vec<_> = room::faces(2.0, 2.0, 3.0).iter().map(FaceMesh::new).collect();
         let mut mesh = assemble(&meshes);
         mesh.patches.iter_mut().filter(|p| p.face == 1).for_each(|p| p.radiance = [4.0, 2.0, 1.0]);
@@ -70,7 +71,7 @@ mod tests {
         let light = LightModel { mesh, distant: vec![sun] };
         let all = lights(&light, &irradiance, |f| format!("face {f}"));
         assert_eq!(all.len(), 2);
-        assert_eq!((all[0].name.as_str(), all[0].intensity), ("face 1", [12.0, 6.0, 3.0]));
+        assert_eq!((all[0].name.as_str(), all[0].intensity), ("face 1", [24.0, 12.0, 6.0]));
         let LightKind::Spot { at } = all[0].kind else { panic!("{:?}", all[0]) };
         assert!((at - Vec3::new(0.0, 1.99, 0.0)).length() < 1e-5 && all[0].towards == -Vec3::Y);
         assert!((all[1].intensity[0] - 5.0).abs() < 1e-5 && all[1].towards.y < 0.0);
