@@ -22,6 +22,7 @@ fn radiance_transfer_agrees_with_the_reference() {
     let scene = stage.scene();
     let objects = [
         ("box on the floor", cuboid(at(0.1, 0.12, 0.0), at(0.10, 0.12, 0.08))),
+        ("box sunk into the floor", cuboid(at(0.1, 0.07, 0.0), at(0.10, 0.12, 0.08))),
         ("blob on the floor", blob(at(0.0, 0.17, 0.0), 0.15, 0.15, 24)),
         ("blob raised by 0.3 m", blob(at(0.0, 0.47, 0.0), 0.15, 0.15, 24)),
         ("thin plate raised", cuboid(at(0.0, 0.25, 0.0), at(0.2, 0.004, 0.15))),

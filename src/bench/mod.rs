@@ -57,6 +57,8 @@ pub enum Table {
     Light,
     /// The probe's environment of the settings named against published maps of the same place, `latlon.hdr` beside them.
     Panorama,
+    /// A mirror ball of ours where a real one stood, beside the photograph of that: the shadow's ratio, with pictures.
+    Ball,
     /// Building an irradiance volume: growth with patches and points, and against ray casting in Mitsuba.
     Volume,
     /// What each stage adds to the error against a capture's truth.
@@ -143,6 +145,7 @@ pub fn bench(
             Table::Ldr => ldr::print(&settings, &ready(&settings, printer)?, pictures, printer)?,
             Table::Light => light::print(&settings, printer)?,
             Table::Panorama => light::panorama::print(&settings, environments, printer)?,
+            Table::Ball => light::ball::print(&settings, pictures, printer)?,
             Table::Volume => light::volume::print(printer)?,
             Table::Breakdown => breakdown::print(&settings, printer)?,
             Table::Truth => truth::print(&settings, pictures, printer)?,

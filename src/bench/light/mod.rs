@@ -1,6 +1,7 @@
 //! Light from the probe against the truth of rendered captures: where lamps and windows are seen and how much light comes from
 //! them, irradiance at the ball and at points of the room, reflectance of the surfaces that the plate shows.
 
+pub(super) mod ball;
 mod lamps;
 pub(super) mod panorama;
 mod points;

@@ -2,17 +2,18 @@
 //! harmonics against pictures of it by Monte Carlo.
 
 use crate::artefact::exr;
+use crate::config::ProbeSource;
 use crate::driver::validate;
 use crate::error::{Error, FileContext, Result};
 use crate::exposure::{Photograph, decode};
 use crate::image::{Image, RadianceImage, luminance};
 use crate::printer::Printer;
 use crate::probe::views::{self, View};
-use crate::probe::{Environment, ProbeFit, Unwrapped, latlong};
+use crate::probe::{Environment, ProbeFit, Unwrapped, latlong, mirror_ball};
 use crate::sh;
 use crate::stage::Workspace;
 use glam::Vec3;
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::{Point2, UnitQuaternion, Vector3};
 use std::path::{Path, PathBuf};
 
 /// Pictures of irradiance by Monte Carlo are called so after their map.
@@ -104,14 +105,60 @@ fn rank_correlation(a: &[f32], b: &[f32]) -> f64 {
     dot(&a, &b) / (dot(&a, &a) * dot(&b, &b)).sqrt()
 }
 
-/// Our environment, as stage `probe` left it, against a published map: turned, or mirrored and turned, until both agree best.
+/// Our environment, as stage `probe` left it, against a published map: turned, or mirrored and turned, until both agree best. A
+/// ball's also as a camera at infinity would have it, as many published maps take it.
 fn against_published(file: &Path, name: &str, map: &RadianceImage, printer: &Printer) -> Result<()> {
     let workspace = Workspace::open(file)?;
     let path = workspace.folder("probe").join("environment.exr");
     let refuse = || Error::file("reading a picture", &path, "lacks planes", "run `insitu-probe` first");
     let ours = Environment::from_planes(&exr::read(&path)?).ok_or_else(refuse)?;
     let fit: ProbeFit = crate::artefact::json::read(&workspace.folder("probe").join("probe.json"))?;
-    let ours = View { fit: fit.clone(), seen: brought(&ours.radiance, Some(&ours)) };
+    let mut ways = vec![(ours.clone(), "")];
+    if fit.source == ProbeSource::Ball {
+        ways.push((from_infinity(&ours, &fit), ", ours as if seen from infinity"));
+    }
+    for (ours, how) in ways {
+        compare(&format!("{}{how}", validate::name(file)), &ours, &fit, name, map, printer);
+    }
+    Ok(())
+}
+
+/// The environment of who takes the ball as seen from infinity: what a pixel mirrors is put where parallel rays would be
+/// mirrored to.
+fn from_infinity(ours: &Environment, fit: &ProbeFit) -> Environment {
+    let view = (fit.camera.centre() - fit.centre).normalize();
+    let rotation = fit.camera.world_from_camera.rotation;
+    let [right, down] = [Vector3::x(), Vector3::y()].map(|axis| rotation * axis);
+    let lens = &fit.camera.intrinsics;
+    let at = |d: Vec3| {
+        let d = Vector3::new(f64::from(d.x), f64::from(d.y), f64::from(d.z));
+        let normal = (view + d).try_normalize(1e-9)?;
+        let disc = [normal.dot(&right), normal.dot(&down)];
+        let [x, y] = [0, 1].map(|k| lens.principal_point_px[k] + 0.5 * fit.diameter_px * disc[k]);
+        let ray = mirror_ball::reflected_ray(&fit.camera, &fit.centre, fit.radius_m, &Point2::new(x, y))?;
+        let d = ray.direction;
+        Some(Vec3::new(d.x as f32, d.y as f32, d.z as f32))
+    };
+    let mut made = ours.clone();
+    for i in 0..ours.weight.len() {
+        let seen = at(ours.direction(i));
+        made.radiance.pixels_mut()[i] =
+            seen.map_or(Default::default(), |d| latlong::lookup(&ours.radiance, d));
+        made.weight[i] = seen.map_or(0.0, |d| ours.weight[ours.texel(d)]);
+    }
+    made
+}
+
+/// Prints how two environments of one place agree.
+fn compare(
+    what: &str,
+    ours: &Environment,
+    fit: &ProbeFit,
+    name: &str,
+    map: &RadianceImage,
+    printer: &Printer,
+) {
+    let ours = View { fit: fit.clone(), seen: brought(&ours.radiance, Some(ours)) };
     let mirrored = Image::from_fn(map.width(), map.height(), |x, y| *map.at(map.width() - 1 - x, y));
     let tried = [(map, ""), (&mirrored, "mirrored, ")].map(|(map, how)| {
         let theirs = View { fit: fit.clone(), seen: brought(map, None) };
@@ -124,12 +171,10 @@ fn against_published(file: &Path, name: &str, map: &RadianceImage, printer: &Pri
     shifts.sort_by(f64::total_cmp);
     let listed: Vec<String> = shifts.iter().map(|s| format!("{s:.1}")).collect();
     printer.data(&format!(
-        "{}: against {name}.hdr ({how}turned by {:.0}°): correlation of log luminance {agreement:.3}; lamps off by {}°",
-        validate::name(file),
+        "{what}: against {name}.hdr ({how}turned by {:.0}°): correlation of log luminance {agreement:.3}; lamps off by {}°",
         turn.angle().to_degrees(),
         listed.join(", ")
     ));
-    Ok(())
 }
 
 /// A map at a common width, its vertical ours, shown where the environment it is of is shown.
