@@ -57,7 +57,9 @@ fn white_furnace_gives_each_surface_its_reflectance() {
             let p = at + d * bvh.closest(at, d, 0.0, f32::MAX).unwrap().t;
             if p.x.abs() < 0.3 && (p.y - 1.05).abs() < 0.3 && p.z.abs() < 0.3 { own } else { around }
         });
-        let built = build(&faces, &env, None, &Known::default(), &Default::default(), |_| 0.0).unwrap();
+        // The room's radiance is given, so that the box's outline is not mixed into it.
+        let known = Known { faces: (0..6).map(|face| (face, around)).collect(), sky: None };
+        let built = build(&faces, &env, None, &known, &Default::default(), |_| 0.0).unwrap();
         let mesh = &built.light.mesh;
         for i in (0..mesh.patches.len()).filter(|i| mesh.patches[*i].face >= 6) {
             let patch = &mesh.patches[i];
@@ -170,6 +172,8 @@ fn a_small_lamp_gets_the_light_that_the_probe_blurs_beside_it() {
     for p in &mesh.patches {
         match p.face {
             6.. => assert!((p.radiance[0] / radiance - 1.0).abs() < 0.05, "{:?}", p.radiance),
+            // What nobody sees behind the lamp is lit by it.
+            _ if p.evidence == Evidence::Gathered => {}
             _ => assert!(p.radiance[0] < 1.5, "the wall shows none of it: {:?}", p.radiance),
         }
     }
