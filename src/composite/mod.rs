@@ -7,6 +7,7 @@ pub use png::write_png;
 
 use crate::image::{Code, CodeImage, Image, Radiance, RadianceImage};
 use crate::render::Layer;
+use rayon::prelude::*;
 
 /// Why layers cannot be put together.
 #[derive(Debug, thiserror::Error, PartialEq)]
@@ -69,39 +70,57 @@ pub fn composite(
 ) -> Result<Composite, Problem> {
     check_size(plate.size(), "the removed radiance", removed.size())?;
     check_size(plate.size(), "the object", object.colour.size())?;
-    let (mut clamped_px, mut excess, mut total) = (0, 0.0f64, 0.0f64);
-    let mut pixels = Vec::with_capacity(plate.pixels().len());
-    for (i, b) in plate.pixels().iter().enumerate() {
-        let (o, a) = (object.colour.pixels()[i].0, object.coverage.pixels()[i]);
-        if !(0.0..=1.0).contains(&a) {
-            return Err(Problem::Coverage { x: i % plate.width(), y: i / plate.width(), coverage: a });
-        }
-        let e = if a > 0.0 && a < 1.0 {
-            removed_beside(plate, removed, object, i)
-        } else {
-            removed.pixels()[i].0
-        };
-        let mut clamped = false;
-        let mut colour = [0.0f32; 3];
-        for k in 0..3 {
-            let left = b.0[k] - e[k];
-            if e[k] > 0.0 && a < 1.0 {
-                total += f64::from(e[k]);
-                if left < 0.0 {
-                    excess += f64::from(-left);
-                    clamped = true;
-                }
-            }
-            colour[k] = left.max(0.0) * (1.0 - a) + o[k].max(0.0);
-        }
-        clamped_px += usize::from(clamped);
-        pixels.push(Radiance(colour));
+    let outside = |a: &f32| !(0.0..=1.0).contains(a);
+    if let Some(i) = object.coverage.pixels().iter().position(outside) {
+        let coverage = object.coverage.pixels()[i];
+        return Err(Problem::Coverage { x: i % plate.width(), y: i / plate.width(), coverage });
     }
+    let row = |y: usize| {
+        let mut row =
+            Row { pixels: Vec::with_capacity(plate.width()), clamped_px: 0, excess: 0.0, total: 0.0 };
+        for i in y * plate.width()..(y + 1) * plate.width() {
+            let (b, o, a) = (plate.pixels()[i].0, object.colour.pixels()[i].0, object.coverage.pixels()[i]);
+            let e = if a > 0.0 && a < 1.0 {
+                removed_beside(plate, removed, object, i)
+            } else {
+                removed.pixels()[i].0
+            };
+            let mut clamped = false;
+            let mut colour = [0.0f32; 3];
+            for k in 0..3 {
+                let left = b[k] - e[k];
+                if e[k] > 0.0 && a < 1.0 {
+                    row.total += f64::from(e[k]);
+                    if left < 0.0 {
+                        row.excess += f64::from(-left);
+                        clamped = true;
+                    }
+                }
+                colour[k] = left.max(0.0) * (1.0 - a) + o[k].max(0.0);
+            }
+            row.clamped_px += usize::from(clamped);
+            row.pixels.push(Radiance(colour));
+        }
+        row
+    };
+    let rows: Vec<Row> = (0..plate.height()).into_par_iter().map(row).collect();
+    let [excess, total] =
+        rows.iter().fold([0.0, 0.0], |[excess, total], row| [excess + row.excess, total + row.total]);
+    let clamped_px = rows.iter().map(|row| row.clamped_px).sum();
+    let pixels = rows.into_iter().flat_map(|row| row.pixels).collect();
     Ok(Composite {
         radiance: Image::from_pixels(plate.width(), plate.height(), pixels),
         clamped_px,
         clamped_share: if total > 0.0 { excess / total } else { 0.0 },
     })
+}
+
+/// A row of the composite.
+struct Row {
+    pixels: Vec<Radiance>,
+    clamped_px: usize,
+    excess: f64,
+    total: f64,
 }
 
 /// ε of a pixel that removes the same share of the plate as its neighbours without object do; its own if it has none.
