@@ -48,6 +48,14 @@ impl<P> Image<P> {
         Self { width, height, pixels }
     }
 
+    /// One value everywhere.
+    pub fn filled(width: usize, height: usize, value: P) -> Self
+    where
+        P: Clone,
+    {
+        Self { width, height, pixels: vec![value; width * height] }
+    }
+
     /// Width, px.
     pub fn width(&self) -> usize {
         self.width

@@ -75,10 +75,11 @@ pub fn composite(
         let coverage = object.coverage.pixels()[i];
         return Err(Problem::Coverage { x: i % plate.width(), y: i / plate.width(), coverage });
     }
-    let row = |y: usize| {
-        let mut row =
-            Row { pixels: Vec::with_capacity(plate.width()), clamped_px: 0, excess: 0.0, total: 0.0 };
-        for i in y * plate.width()..(y + 1) * plate.width() {
+    let mut pixels = vec![Radiance::default(); plate.pixels().len()];
+    let row = |(y, row): (usize, &mut [Radiance])| {
+        let mut clamps = Clamps::default();
+        for (x, to) in row.iter_mut().enumerate() {
+            let i = y * plate.width() + x;
             let (b, o, a) = (plate.pixels()[i].0, object.colour.pixels()[i].0, object.coverage.pixels()[i]);
             let e = if a > 0.0 && a < 1.0 {
                 removed_beside(plate, removed, object, i)
@@ -86,39 +87,38 @@ pub fn composite(
                 removed.pixels()[i].0
             };
             let mut clamped = false;
-            let mut colour = [0.0f32; 3];
             for k in 0..3 {
                 let left = b[k] - e[k];
                 if e[k] > 0.0 && a < 1.0 {
-                    row.total += f64::from(e[k]);
+                    clamps.total += f64::from(e[k]);
                     if left < 0.0 {
-                        row.excess += f64::from(-left);
+                        clamps.excess += f64::from(-left);
                         clamped = true;
                     }
                 }
-                colour[k] = left.max(0.0) * (1.0 - a) + o[k].max(0.0);
+                to.0[k] = left.max(0.0) * (1.0 - a) + o[k].max(0.0);
             }
-            row.clamped_px += usize::from(clamped);
-            row.pixels.push(Radiance(colour));
+            clamps.px += usize::from(clamped);
         }
-        row
+        clamps
     };
-    let rows: Vec<Row> = (0..plate.height()).into_par_iter().map(row).collect();
-    let [excess, total] =
-        rows.iter().fold([0.0, 0.0], |[excess, total], row| [excess + row.excess, total + row.total]);
-    let clamped_px = rows.iter().map(|row| row.clamped_px).sum();
-    let pixels = rows.into_iter().flat_map(|row| row.pixels).collect();
+    let rows: Vec<Clamps> = pixels.par_chunks_mut(plate.width().max(1)).enumerate().map(row).collect();
+    let all = rows.into_iter().fold(Clamps::default(), |a, b| Clamps {
+        px: a.px + b.px,
+        excess: a.excess + b.excess,
+        total: a.total + b.total,
+    });
     Ok(Composite {
         radiance: Image::from_pixels(plate.width(), plate.height(), pixels),
-        clamped_px,
-        clamped_share: if total > 0.0 { excess / total } else { 0.0 },
+        clamped_px: all.px,
+        clamped_share: if all.total > 0.0 { all.excess / all.total } else { 0.0 },
     })
 }
 
-/// A row of the composite.
-struct Row {
-    pixels: Vec<Radiance>,
-    clamped_px: usize,
+/// Pixels that were clamped, radiance that could not be removed, and all that was to be.
+#[derive(Default)]
+struct Clamps {
+    px: usize,
     excess: f64,
     total: f64,
 }

@@ -125,10 +125,10 @@ impl CubeMap {
 
     /// Irradiance on a surface of unit normal, all of it seen.
     pub fn irradiance(&self, normal: Vec3) -> [f32; 3] {
-        let mut sum = [0.0f64; 3];
+        let (mut sum, angles) = ([0.0f64; 3], solid_angles(self.side));
         for (i, radiance) in self.texels.iter().enumerate() {
-            let (direction, solid_angle) = self.texel(i);
-            let weight = f64::from(direction.dot(normal).max(0.0)) * solid_angle;
+            let direction = middle(i, self.side);
+            let weight = f64::from(direction.dot(normal).max(0.0)) * angles[i % angles.len()];
             (0..3).for_each(|k| sum[k] += f64::from(radiance.0[k]) * weight);
         }
         sum.map(|v| v as f32)
@@ -286,8 +286,9 @@ impl Sums {
         };
         let mut cube = CubeMap { side: self.side, texels: (0..self.power.len()).map(texel).collect() };
         let mut seen = [0.0f64; 3];
+        let angles = solid_angles(self.side);
         for (i, radiance) in cube.texels.iter().enumerate().filter(|(i, _)| self.solid_angle[*i] > 1e-9) {
-            let (_, angle) = cube.texel(i);
+            let angle = angles[i % angles.len()];
             (0..3).for_each(|k| seen[k] += f64::from(radiance.0[k]) * angle);
         }
         let scale = [0, 1, 2].map(|k| {

@@ -58,6 +58,9 @@ pub fn bound(lights: usize, per_frame: usize) -> usize {
 /// A light's brightness that has changed by its own counts as a turn by this angle, rad.
 const CHANGED_RAD: f32 = 0.2;
 
+/// Lookups reach beyond the object by this share of its size.
+const MARGIN: f32 = 0.05;
+
 impl DomeMaps {
     /// Maps of `size` texels a side, `per_frame` of them drawn in a frame, 0 for all.
     pub fn new(size: usize, per_frame: usize) -> Self {
@@ -138,6 +141,31 @@ impl DomeMaps {
     /// Drawings of other maps since the oldest map was drawn, or its light appeared.
     pub fn oldest(&self) -> u64 {
         self.slots.iter().map(|s| self.drawings - s.drawing.max(s.since)).max().unwrap_or(0)
+    }
+
+    /// By light, corners of a body in which all lies that its map may shadow within a box, m.
+    pub fn shadowed(&self, [low, high]: [Vec3; 2]) -> Vec<[Vec3; 16]> {
+        let body = |slot: &Slot| {
+            let Bounds { min, max, .. } = slot.drawn.plan.bounds;
+            // A texel and more around.
+            let margin = Vec3::splat(MARGIN * min.distance(max));
+            let shift = self.pose.anchor - slot.drawn.pose.anchor;
+            let (min, max) = (min - margin + shift, max + margin + shift);
+            let direction = slot.drawn.direction;
+            // How far the object goes down the light until it has left the box.
+            let leaves = |k: usize| match direction[k] {
+                d if d > 0.0 => (max[k] - low[k]) / d,
+                d if d < 0.0 => (min[k] - high[k]) / d,
+                _ => f32::INFINITY,
+            };
+            let far = leaves(0).min(leaves(1)).min(leaves(2)).max(0.0);
+            std::array::from_fn(|i| {
+                let pick = |bit: usize, low: f32, high: f32| if i >> bit & 1 > 0 { high } else { low };
+                let corner = Vec3::new(pick(0, min.x, max.x), pick(1, min.y, max.y), pick(2, min.z, max.z));
+                corner - direction * pick(3, 0.0, far)
+            })
+        };
+        self.slots.iter().filter(|s| s.drawn.map.is_some()).map(body).collect()
     }
 
     /// The shadow buffer R = Σ C N·L (1 − S) (eq. 3) of neighbouring surfaces. `gone` says whether a surface gets nothing of a

@@ -67,6 +67,8 @@ pub struct Live {
     maps: DomeMaps,
     split: BTreeSet<dome::Cell>,
     environment: Option<CubeMap>,
+    /// Whether that is given and not looked for.
+    known: bool,
     sight: Option<Sight>,
     unlit: Option<dome::Problem>,
     seen: usize,
@@ -119,6 +121,7 @@ impl Live {
             maps: DomeMaps::new(settings.render.shadow_map_px, live.maps_per_frame),
             split: BTreeSet::new(),
             environment: None,
+            known: false,
             sight: None,
             unlit: None,
             seen: 0,
@@ -126,6 +129,11 @@ impl Live {
             size,
             second,
         })
+    }
+
+    /// Light that is known, as it is seen from where the ball or the lens stands: from now on neither is looked at.
+    pub fn light(&mut self, environment: CubeMap) {
+        (self.environment, self.known) = (Some(environment), true);
     }
 
     /// The dome's lights and maps as they are.
@@ -149,8 +157,8 @@ impl Live {
         let tracked = self.tracker.follow(&grey(frame), &scene.radiance)?;
         notices.extend(self.sighted(tracked.sight));
         timing.pose = clock.lap();
-        if let (Some(camera), Sight::Seen(_)) = (&tracked.camera, tracked.sight) {
-            self.seen += 1;
+        self.seen += usize::from(matches!(tracked.sight, Sight::Seen(_)));
+        if let (Some(camera), Sight::Seen(_), false) = (&tracked.camera, tracked.sight, self.known) {
             let second = second.map(|s| self.linear(s));
             match self.lighting.follow(&scene, camera, second.as_ref()) {
                 Ok(environment) => {

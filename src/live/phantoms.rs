@@ -83,6 +83,12 @@ impl Phantoms {
         &self.normals
     }
 
+    /// Lowest and highest coordinates, m.
+    pub fn bounds(&self) -> [Vec3; 2] {
+        let corners = self.bvh.triangles().flatten();
+        corners.fold([Vec3::INFINITY, Vec3::NEG_INFINITY], |[a, b], p| [a.min(p), b.max(p)])
+    }
+
     /// The first front that a ray meets: place (m) and number of its normal. `closest` finds what the ray meets first from a
     /// distance on.
     pub fn seen(

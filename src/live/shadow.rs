@@ -8,13 +8,15 @@ use crate::image::{Image, Radiance, RadianceImage};
 use crate::subtractive::{Surface, pixel_angle};
 use crate::visibility::Screen;
 use glam::Vec3;
-use nalgebra::Point2;
+use nalgebra::{Point2, Point3};
 use rayon::prelude::*;
 
 /// Side of a tile whose pixels are looked up together, px.
 const TILE: usize = 16;
 /// Rays to lights leave a surface by this much, m.
 const OFFSET_M: f32 = 1e-4;
+/// Nothing is seen that is nearer to the camera, m.
+const NEAR_M: f64 = 0.01;
 
 /// The dome among real things.
 pub(super) struct Dome<'a> {
@@ -59,14 +61,17 @@ impl<'a> Dome<'a> {
     /// Radiance that leaves a plate.
     pub fn removed(&self, camera: &Camera, plate: &RadianceImage, opacity: f32) -> RadianceImage {
         let (width, height) = plate.size();
-        let mut removed = Image::from_pixels(width, height, vec![Radiance::default(); width * height]);
+        let mut removed = Image::filled(width, height, Radiance::default());
         if self.maps.lights().len() == 0 {
             return removed;
         }
         let (columns, rows) = (width.div_ceil(TILE), height.div_ceil(TILE));
         let screen = Screen::new(&self.phantoms.bvh, camera);
+        let bodies = self.maps.shadowed(self.phantoms.bounds());
+        let reached = reached(camera, &bodies, [columns, rows]);
         let tiles: Vec<Vec<(usize, [f32; 3])>> = (0..columns * rows)
             .into_par_iter()
+            .filter(|&tile| reached[tile])
             .map(|tile| self.tile(camera, &screen, [tile % columns * TILE, tile / columns * TILE]))
             .collect();
         for (i, share) in tiles.into_iter().flatten() {
@@ -132,5 +137,92 @@ impl<'a> Dome<'a> {
             [0, 1, 2].map(|k| if all[k] > 0.0 { (gone[at][k] / all[k]).min(1.0) } else { 0.0 })
         };
         (0..at.len()).filter(|&i| gone[i] != [0.0; 3]).map(|i| (at[i], share(i))).collect()
+    }
+}
+
+/// Tiles in which a camera sees something of bodies, given by their corners; may name more.
+fn reached(camera: &Camera, bodies: &[[Vec3; 16]], [columns, rows]: [usize; 2]) -> Vec<bool> {
+    let mut reached = vec![false; columns * rows];
+    if camera.intrinsics.distortion != [0.0; 5] {
+        // Edges are bent.
+        return vec![true; columns * rows];
+    }
+    for body in bodies {
+        let corners = body.map(|v| {
+            let p = Point3::from(v.as_dvec3().to_array());
+            camera.world_from_camera.inverse_transform_point(&p)
+        });
+        let (front, behind): (Vec<_>, Vec<_>) = corners.iter().partition(|p| p.z > NEAR_M);
+        let crossing = |a: &Point3<f64>, b: &Point3<f64>| a + (b - a) * ((NEAR_M - a.z) / (b.z - a.z));
+        let cut = front.iter().flat_map(|a| behind.iter().map(|b| crossing(a, b)));
+        let seen: Vec<Point3<f64>> = front.iter().copied().chain(cut).collect();
+        let corners: Vec<Point2<f64>> = seen.iter().filter_map(|p| camera.intrinsics.project(p)).collect();
+        if corners.is_empty() {
+            continue;
+        }
+        let hull = hull(corners);
+        let low = |k: usize| hull.iter().map(|p| p[k]).fold(f64::INFINITY, f64::min) / TILE as f64;
+        let high = |k: usize| hull.iter().map(|p| p[k]).fold(f64::NEG_INFINITY, f64::max) / TILE as f64;
+        let span =
+            |k: usize, count: usize| low(k).max(0.0) as usize..((high(k) + 1.0).max(0.0) as usize).min(count);
+        for (row, column) in span(1, rows).flat_map(|r| span(0, columns).map(move |c| (r, c))) {
+            let corner =
+                |i: usize| Point2::new(((column + i % 2) * TILE) as f64, ((row + i / 2) * TILE) as f64);
+            // Beyond one side of the hull with all its corners.
+            let beyond = (0..hull.len()).any(|i| {
+                let (a, b) = (hull[i], hull[(i + 1) % hull.len()]);
+                (0..4).all(|k| (b - a).perp(&(corner(k) - a)) < 0.0)
+            });
+            reached[row * columns + column] |= !beyond;
+        }
+    }
+    reached
+}
+
+/// The convex hull of points, in one turn (Andrew's monotone chain).
+fn hull(mut points: Vec<Point2<f64>>) -> Vec<Point2<f64>> {
+    points.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
+    let half = |points: &mut dyn Iterator<Item = &Point2<f64>>| {
+        let mut chain: Vec<Point2<f64>> = Vec::new();
+        for p in points {
+            while let [.., a, b] = chain[..]
+                && (b - a).perp(&(p - a)) <= 0.0
+            {
+                chain.pop();
+            }
+            chain.push(*p);
+        }
+        chain.pop();
+        chain
+    };
+    let mut hull = half(&mut points.iter());
+    hull.extend(half(&mut points.iter().rev()));
+    hull
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::synthetic::camera;
+
+    #[test]
+    fn tiles_that_see_a_body_are_all_reached_and_those_far_off_are_not() {
+        let camera = camera([0.3, 0.6, 0.9], [0.0, 0.0, 0.0], 320, 240, 260.0);
+        let along = Vec3::new(-0.5, -0.4, 0.1);
+        let body: [Vec3; 16] = std::array::from_fn(|i| {
+            let corner = Vec3::new((i & 1) as f32, (i >> 1 & 1) as f32, (i >> 2 & 1) as f32) * 0.1;
+            corner + along * (i >> 3) as f32
+        });
+        let reached = reached(&camera, &[body], [20, 15]);
+        let part = |i: usize, k: usize| ((i * k) as f32 * 0.618_034).fract();
+        for i in 0..3000 {
+            let inside = Vec3::new(part(i, 1), part(i, 2), part(i, 3)) * 0.1 + along * part(i, 5);
+            let p = camera.project(&Point3::from(inside.as_dvec3().to_array())).unwrap();
+            if (0.0..320.0).contains(&p.x) && (0.0..240.0).contains(&p.y) {
+                assert!(reached[p.y as usize / TILE * 20 + p.x as usize / TILE], "{p}");
+            }
+        }
+        let count = reached.iter().filter(|r| **r).count();
+        assert!((20..160).contains(&count), "{count} of 300");
     }
 }

@@ -117,9 +117,9 @@ pub(crate) fn render_with(
         .collect();
     let mut rendered = Rendered {
         layer: Layer {
-            colour: Image::from_fn(width, height, |_, _| Radiance::default()),
-            coverage: Image::from_fn(width, height, |_, _| 0.0),
-            depth: Image::from_fn(width, height, |_, _| 0.0),
+            colour: Image::filled(width, height, Radiance::default()),
+            coverage: Image::filled(width, height, 0.0),
+            depth: Image::filled(width, height, 0.0),
         },
         visible_px: 0.0,
         hidden_px: 0.0,
