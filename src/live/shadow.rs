@@ -161,19 +161,27 @@ fn reached(camera: &Camera, bodies: &[[Vec3; 16]], [columns, rows]: [usize; 2]) 
             continue;
         }
         let hull = hull(corners);
-        let low = |k: usize| hull.iter().map(|p| p[k]).fold(f64::INFINITY, f64::min) / TILE as f64;
-        let high = |k: usize| hull.iter().map(|p| p[k]).fold(f64::NEG_INFINITY, f64::max) / TILE as f64;
-        let span =
-            |k: usize, count: usize| low(k).max(0.0) as usize..((high(k) + 1.0).max(0.0) as usize).min(count);
-        for (row, column) in span(1, rows).flat_map(|r| span(0, columns).map(move |c| (r, c))) {
-            let corner =
-                |i: usize| Point2::new(((column + i % 2) * TILE) as f64, ((row + i / 2) * TILE) as f64);
-            // Beyond one side of the hull with all its corners.
-            let beyond = (0..hull.len()).any(|i| {
-                let (a, b) = (hull[i], hull[(i + 1) % hull.len()]);
-                (0..4).all(|k| (b - a).perp(&(corner(k) - a)) < 0.0)
-            });
-            reached[row * columns + column] |= !beyond;
+        for row in 0..rows {
+            // What of the hull lies between the row's borders: corners, and where sides cross a border.
+            let borders = [row, row + 1].map(|r| (r * TILE) as f64);
+            let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+            let mut reach = |x: f64| (low, high) = (low.min(x), high.max(x));
+            for (i, a) in hull.iter().enumerate() {
+                let b = hull[(i + 1) % hull.len()];
+                if (borders[0]..=borders[1]).contains(&a.y) {
+                    reach(a.x);
+                }
+                for border in borders {
+                    let along = (border - a.y) / (b.y - a.y);
+                    if (0.0..=1.0).contains(&along) {
+                        reach(a.x + along * (b.x - a.x));
+                    }
+                }
+            }
+            let [from, to] = [low, high + TILE as f64].map(|x| (x / TILE as f64).max(0.0) as usize);
+            for column in from..to.min(columns) {
+                reached[row * columns + column] = true;
+            }
         }
     }
     reached
