@@ -148,12 +148,14 @@ impl Clipped {
                 .collect();
             // A light that the paper does not see says nothing.
             let seen: Vec<usize> = (0..shown.len()).filter(|&j| looks[j] > 0.0).collect();
+            // Of all alike: a place in a shadow is no surer than the others.
+            let whole = median(paper.iter().map(|p| f64::from(p.irradiance[k])).collect()).max(1e-6);
             let rows: Vec<Row> = paper
                 .iter()
                 .map(|p| Row {
                     shape: seen.iter().map(|&j| gives(&shown[j], p.place) / looks[j]).collect(),
                     lacks: f64::from(p.irradiance[k] - (rest[0][k] - rest[1][k])),
-                    sigma: PLACE * f64::from(p.irradiance[k]).max(1e-6),
+                    sigma: PLACE * whole,
                 })
                 .collect();
             let lights: Vec<Prior> = seen
@@ -233,13 +235,9 @@ struct Prior {
 /// P of all lights.
 fn solved(rows: &[Row], lights: &[Prior]) -> Vec<f64> {
     let n = lights.len();
-    let median = |mut values: Vec<f64>| {
-        values.sort_by(f64::total_cmp);
-        values.get(values.len() / 2).copied().unwrap_or(0.0)
-    };
     let known = |row: &Row| (0..n).map(|j| row.shape[j] * lights[j].known.unwrap_or(0.0)).sum::<f64>();
     let misfit = median(rows.iter().map(|r| r.lacks - known(r)).collect());
-    let whole = median(rows.iter().map(|r| r.sigma / PLACE).collect());
+    let whole = rows.first().map_or(0.0, |r| r.sigma / PLACE);
     let fresh = lights.iter().any(|l| l.known.is_none());
     let changed = !fresh && misfit.abs() > LARGE * whole;
     let looks: f64 = lights.iter().filter(|l| l.known.is_none()).map(|l| l.bounds[0]).sum();
@@ -258,6 +256,11 @@ fn solved(rows: &[Row], lights: &[Prior]) -> Vec<f64> {
         kept = rows.iter().filter(|r| off(r).abs() <= FAR_OFF * spread.max(0.5)).collect();
     }
     found
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
 
 /// Least squares within the bounds of each light: what lies outside is held at its bound, and the rest found again.

@@ -22,6 +22,8 @@ pub struct Phantoms {
 const BACK_SIDES: usize = 8;
 /// What is nearer to a surface lies on it, m.
 const TOUCHES_M: f32 = 1e-3;
+/// Of cosines.
+const ROUNDING: f32 = 1e-6;
 
 impl Phantoms {
     /// Of the settings; `scene` is the model that they name.
@@ -118,8 +120,8 @@ impl Phantoms {
             let (at, reach) = (normal.dot(centre - corners[0]), normal.abs().dot(half));
             let towards = normal.dot(direction);
             // All of the box on one side, and the light on the same.
-            let before = at - reach > -TOUCHES_M && towards >= 0.0;
-            let behind = at + reach < TOUCHES_M && towards <= 0.0;
+            let before = at - reach > -TOUCHES_M && towards >= -ROUNDING;
+            let behind = at + reach < TOUCHES_M && towards <= ROUNDING;
             // The sphere around the triangle off the way of the sphere around the box.
             let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
             let radius = corners.iter().map(|c| c.distance(middle)).fold(0.0, f32::max) + half.length();
