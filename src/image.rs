@@ -1,5 +1,7 @@
 //! Images as typed rasters. What a camera stored ([`Code`]) and what the scene sent ([`Radiance`]) are different types.
 
+use rayon::prelude::*;
+
 /// A row-major raster; `(0, 0)` is the top-left pixel, whose centre lies at `(0.5, 0.5)` px.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Image<P> {
@@ -46,6 +48,14 @@ impl<P> Image<P> {
         Self { width, height, pixels }
     }
 
+    /// One value everywhere.
+    pub fn filled(width: usize, height: usize, value: P) -> Self
+    where
+        P: Clone,
+    {
+        Self { width, height, pixels: vec![value; width * height] }
+    }
+
     /// Width, px.
     pub fn width(&self) -> usize {
         self.width
@@ -84,6 +94,13 @@ impl<P> Image<P> {
     /// Applies `f` to every pixel.
     pub fn map<Q>(&self, f: impl FnMut(&P) -> Q) -> Image<Q> {
         Image { width: self.width, height: self.height, pixels: self.pixels.iter().map(f).collect() }
+    }
+}
+
+impl<P: Sync> Image<P> {
+    /// The same by all threads.
+    pub fn par_map<Q: Send>(&self, f: impl Fn(&P) -> Q + Sync + Send) -> Image<Q> {
+        Image { width: self.width, height: self.height, pixels: self.pixels.par_iter().map(f).collect() }
     }
 }
 

@@ -15,7 +15,7 @@ use opencv::core::{Mat, Point2d, Point2f, Point3d, Point3f, Size, TermCriteria, 
 use opencv::prelude::{MatTraitConst, MatTraitConstManual, VectorToVec};
 use opencv::{calib3d, imgproc};
 
-pub use markers::{Marker, marker_cells, markers};
+pub use markers::{Expected, Marker, marker_cells, markers};
 pub use segments::line_segments;
 pub use video::{VideoReader, VideoWriter};
 

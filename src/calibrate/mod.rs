@@ -154,7 +154,7 @@ pub fn grey_of(photograph: &Photograph) -> Image<u8> {
 
 /// Brightness of a photograph for finding the grid.
 pub fn grey(image: &CodeImage) -> Image<u8> {
-    image.map(|c| (255.0 * crate::image::luminance(c.0)).round().clamp(0.0, 255.0) as u8)
+    image.par_map(|c| (255.0 * crate::image::luminance(c.0)).round().clamp(0.0, 255.0) as u8)
 }
 
 /// Brightness of a linear picture for finding the grid: exposed for its 99th percentile, gamma 2.2.

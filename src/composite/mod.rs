@@ -7,6 +7,7 @@ pub use png::write_png;
 
 use crate::image::{Code, CodeImage, Image, Radiance, RadianceImage};
 use crate::render::Layer;
+use rayon::prelude::*;
 
 /// Why layers cannot be put together.
 #[derive(Debug, thiserror::Error, PartialEq)]
@@ -69,39 +70,57 @@ pub fn composite(
 ) -> Result<Composite, Problem> {
     check_size(plate.size(), "the removed radiance", removed.size())?;
     check_size(plate.size(), "the object", object.colour.size())?;
-    let (mut clamped_px, mut excess, mut total) = (0, 0.0f64, 0.0f64);
-    let mut pixels = Vec::with_capacity(plate.pixels().len());
-    for (i, b) in plate.pixels().iter().enumerate() {
-        let (o, a) = (object.colour.pixels()[i].0, object.coverage.pixels()[i]);
-        if !(0.0..=1.0).contains(&a) {
-            return Err(Problem::Coverage { x: i % plate.width(), y: i / plate.width(), coverage: a });
-        }
-        let e = if a > 0.0 && a < 1.0 {
-            removed_beside(plate, removed, object, i)
-        } else {
-            removed.pixels()[i].0
-        };
-        let mut clamped = false;
-        let mut colour = [0.0f32; 3];
-        for k in 0..3 {
-            let left = b.0[k] - e[k];
-            if e[k] > 0.0 && a < 1.0 {
-                total += f64::from(e[k]);
-                if left < 0.0 {
-                    excess += f64::from(-left);
-                    clamped = true;
-                }
-            }
-            colour[k] = left.max(0.0) * (1.0 - a) + o[k].max(0.0);
-        }
-        clamped_px += usize::from(clamped);
-        pixels.push(Radiance(colour));
+    let outside = |a: &f32| !(0.0..=1.0).contains(a);
+    if let Some(i) = object.coverage.pixels().iter().position(outside) {
+        let coverage = object.coverage.pixels()[i];
+        return Err(Problem::Coverage { x: i % plate.width(), y: i / plate.width(), coverage });
     }
+    let mut pixels = vec![Radiance::default(); plate.pixels().len()];
+    let row = |(y, row): (usize, &mut [Radiance])| {
+        let mut clamps = Clamps::default();
+        for (x, to) in row.iter_mut().enumerate() {
+            let i = y * plate.width() + x;
+            let (b, o, a) = (plate.pixels()[i].0, object.colour.pixels()[i].0, object.coverage.pixels()[i]);
+            let e = if a > 0.0 && a < 1.0 {
+                removed_beside(plate, removed, object, i)
+            } else {
+                removed.pixels()[i].0
+            };
+            let mut clamped = false;
+            for k in 0..3 {
+                let left = b[k] - e[k];
+                if e[k] > 0.0 && a < 1.0 {
+                    clamps.total += f64::from(e[k]);
+                    if left < 0.0 {
+                        clamps.excess += f64::from(-left);
+                        clamped = true;
+                    }
+                }
+                to.0[k] = left.max(0.0) * (1.0 - a) + o[k].max(0.0);
+            }
+            clamps.px += usize::from(clamped);
+        }
+        clamps
+    };
+    let rows: Vec<Clamps> = pixels.par_chunks_mut(plate.width().max(1)).enumerate().map(row).collect();
+    let all = rows.into_iter().fold(Clamps::default(), |a, b| Clamps {
+        px: a.px + b.px,
+        excess: a.excess + b.excess,
+        total: a.total + b.total,
+    });
     Ok(Composite {
         radiance: Image::from_pixels(plate.width(), plate.height(), pixels),
-        clamped_px,
-        clamped_share: if total > 0.0 { excess / total } else { 0.0 },
+        clamped_px: all.px,
+        clamped_share: if all.total > 0.0 { all.excess / all.total } else { 0.0 },
     })
+}
+
+/// Pixels that were clamped, radiance that could not be removed, and all that was to be.
+#[derive(Default)]
+struct Clamps {
+    px: usize,
+    excess: f64,
+    total: f64,
 }
 
 /// ε of a pixel that removes the same share of the plate as its neighbours without object do; its own if it has none.

@@ -3,6 +3,12 @@
 use crate::image::{Radiance, RadianceImage, luminance};
 use crate::probe::latlong;
 use glam::Vec3;
+use rayon::prelude::*;
+
+/// Parts along a texel's edge that move each for itself where a cube is seen from elsewhere.
+const PARTS: usize = 2;
+/// Nobody stands farther out in a room than by this share of its light's distance.
+const INSIDE: f32 = 0.9;
 
 /// Number of faces: +x, −x, +y, −y, +z, −z.
 pub const FACES: usize = 6;
@@ -50,6 +56,12 @@ pub fn place(direction: Vec3) -> (usize, f32, f32) {
 pub fn solid_angle([u0, u1]: [f64; 2], [v0, v1]: [f64; 2]) -> f64 {
     let corner = |u: f64, v: f64| (u * v).atan2((u * u + v * v + 1.0).sqrt());
     corner(u1, v1) - corner(u0, v1) - corner(u1, v0) + corner(u0, v0)
+}
+
+/// Solid angles of a face's texels, sr.
+fn solid_angles(side: usize) -> Vec<f64> {
+    let span = |k: usize| [edge(k, side), edge(k + 1, side)];
+    (0..side * side).map(|i| solid_angle(span(i % side), span(i / side))).collect()
 }
 
 /// Place of a texel's edge on its face.
@@ -113,21 +125,58 @@ impl CubeMap {
 
     /// Irradiance on a surface of unit normal, all of it seen.
     pub fn irradiance(&self, normal: Vec3) -> [f32; 3] {
-        let mut sum = [0.0f64; 3];
+        let (mut sum, angles) = ([0.0f64; 3], solid_angles(self.side));
         for (i, radiance) in self.texels.iter().enumerate() {
-            let (direction, solid_angle) = self.texel(i);
-            let weight = f64::from(direction.dot(normal).max(0.0)) * solid_angle;
+            let direction = middle(i, self.side);
+            let weight = f64::from(direction.dot(normal).max(0.0)) * angles[i % angles.len()];
             (0..3).for_each(|k| sum[k] += f64::from(radiance.0[k]) * weight);
         }
         sum.map(|v| v as f32)
     }
 
+    /// Irradiance on surfaces of all normals, by normal, all of the cube seen.
+    pub fn irradiance_map(&self, side: usize) -> Self {
+        let angles = solid_angles(self.side);
+        let sent: Vec<(Vec3, f64, [f64; 3])> = (0..self.texels.len())
+            .map(|i| (middle(i, self.side), angles[i % angles.len()], self.texels[i].0.map(f64::from)))
+            .collect();
+        let at = |i| {
+            let normal = middle(i, side);
+            let mut sum = [0.0f64; 3];
+            for (direction, solid_angle, radiance) in &sent {
+                let weight = f64::from(direction.dot(normal).max(0.0)) * solid_angle;
+                (0..3).for_each(|k| sum[k] += radiance[k] * weight);
+            }
+            Radiance(sum.map(|v| v as f32))
+        };
+        Self { side, texels: (0..FACES * side * side).into_par_iter().map(at).collect() }
+    }
+
+    /// The same light as it is seen from a place `by` (m) away, all of it standing at a distance (m) from where the cube was
+    /// seen, or nearly so far away if that is nearer.
+    pub fn seen_from(&self, by: Vec3, distance_m: f32) -> Self {
+        let by = by.clamp_length_max(INSIDE * distance_m);
+        let (side, mut sums) = (self.side * PARTS, Sums::new(self.side));
+        let angles = solid_angles(side);
+        for i in 0..FACES * side * side {
+            let (x, y, face) = (i % side, i / side % side, i / (side * side));
+            let Radiance(radiance) = self.texels[(face * self.side + y / PARTS) * self.side + x / PARTS];
+            let direction = middle(i, side);
+            let way = direction * distance_m - by;
+            let away = way.length();
+            // The shell's part and how obliquely it is seen.
+            let seen = distance_m.powi(2) * way.dot(direction) / away.powi(3);
+            sums.add(way / away, radiance, angles[i % angles.len()] * f64::from(seen));
+        }
+        sums.finish()
+    }
+
     /// The mean of every `factor`² texels, by solid angle; `side` must be a multiple of `factor`.
     pub fn downsampled(&self, factor: usize) -> Self {
         let mut sums = Sums::new((self.side / factor.max(1)).max(1));
+        let angles = solid_angles(self.side);
         for (i, radiance) in self.texels.iter().enumerate() {
-            let (direction, solid_angle) = self.texel(i);
-            sums.add(direction, radiance.0, solid_angle);
+            sums.add(middle(i, self.side), radiance.0, angles[i % angles.len()]);
         }
         sums.finish()
     }
@@ -168,14 +217,15 @@ impl CubeMap {
     }
 }
 
-fn middle(i: usize, side: usize) -> Vec3 {
+/// Unit direction of the middle of texel `i`.
+pub(crate) fn middle(i: usize, side: usize) -> Vec3 {
     let (x, y, face) = (i % side, i / side % side, i / (side * side));
     let at = |k: usize| (2.0 * k as f32 + 1.0) / side as f32 - 1.0;
     direction(face, at(x), at(y))
 }
 
 /// The texel that holds a direction.
-fn index(direction: Vec3, side: usize) -> usize {
+pub(crate) fn index(direction: Vec3, side: usize) -> usize {
     let (face, u, v) = place(direction);
     let at = |p: f32| (((p + 1.0) / 2.0 * side as f32) as usize).min(side - 1);
     (face * side + at(v)) * side + at(u)
@@ -236,8 +286,9 @@ impl Sums {
         };
         let mut cube = CubeMap { side: self.side, texels: (0..self.power.len()).map(texel).collect() };
         let mut seen = [0.0f64; 3];
+        let angles = solid_angles(self.side);
         for (i, radiance) in cube.texels.iter().enumerate().filter(|(i, _)| self.solid_angle[*i] > 1e-9) {
-            let (_, angle) = cube.texel(i);
+            let angle = angles[i % angles.len()];
             (0..3).for_each(|k| seen[k] += f64::from(radiance.0[k]) * angle);
         }
         let scale = [0, 1, 2].map(|k| {
@@ -260,6 +311,32 @@ pub(super) fn weight(power: &[f64; 3]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_room_is_seen_from_another_place_in_it() {
+        let (distance, by) = (2.0, Vec3::new(0.5, -0.2, 0.3));
+        let room = |d: Vec3| [1.0 + 0.5 * d.x, 1.0 - 0.5 * d.z, 1.0];
+        let found = CubeMap::from_fn(32, room).seen_from(by, distance);
+        for i in 0..found.texels().len() {
+            let d = found.texel(i).0;
+            // Where a ray from there meets the shell.
+            let along = d.dot(by);
+            let t = -along + (along * along + distance * distance - by.length_squared()).sqrt();
+            let truth = room((by + d * t) / distance);
+            assert!((0..3).all(|k| (found.texels()[i].0[k] - truth[k]).abs() < 0.05), "{d}");
+        }
+        assert!((found.power()[2] / (4.0 * std::f64::consts::PI) - 1.0).abs() < 1e-3);
+    }
+
+    #[test]
+    fn a_map_of_irradiance_has_that_of_each_normal() {
+        let cube = CubeMap::from_fn(8, |d| [1.0 + d.x, 1.0 + d.y * d.z, 0.3]);
+        let map = cube.irradiance_map(6);
+        for i in 0..map.texels().len() {
+            let exact = cube.irradiance(map.texel(i).0);
+            assert!((0..3).all(|k| (map.texels()[i].0[k] - exact[k]).abs() < 1e-6));
+        }
+    }
     use crate::image::Image;
     use proptest::prelude::*;
     use std::f64::consts::PI;

@@ -112,6 +112,12 @@ pub fn strongest(mut lights: Vec<DomeLight>, count: usize) -> Vec<DomeLight> {
 }
 
 impl Cell {
+    /// Its texels of a cube of some side.
+    pub(super) fn texels(self, side: usize) -> impl Iterator<Item = usize> {
+        let Self { face, x, y, size } = self;
+        (y..y + size).flat_map(move |v| (x..x + size).map(move |u| (face * side + v) * side + u))
+    }
+
     fn quarters(self) -> [Self; 4] {
         let size = self.size / 2;
         [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(i, j)| Self {
@@ -127,9 +133,7 @@ fn light(environment: &CubeMap, cell: Cell, centroid: bool) -> DomeLight {
     let side = environment.side();
     let (mut power, mut moment, mut all) = ([0.0; 3], DVec3::ZERO, 0.0);
     let mut texel_sr = 0.0;
-    for (y, x) in (cell.y..cell.y + cell.size).flat_map(|y| (cell.x..cell.x + cell.size).map(move |x| (y, x)))
-    {
-        let i = (cell.face * side + y) * side + x;
+    for i in cell.texels(side) {
         let (direction, solid_angle) = environment.texel(i);
         let sent = environment.texels()[i].0.map(|l| f64::from(l.max(0.0)) * solid_angle);
         let sent_weight = weight(&sent);

@@ -58,6 +58,9 @@ pub fn bound(lights: usize, per_frame: usize) -> usize {
 /// A light's brightness that has changed by its own counts as a turn by this angle, rad.
 const CHANGED_RAD: f32 = 0.2;
 
+/// Lookups reach beyond the object by this share of its size.
+const MARGIN: f32 = 0.05;
+
 impl DomeMaps {
     /// Maps of `size` texels a side, `per_frame` of them drawn in a frame, 0 for all.
     pub fn new(size: usize, per_frame: usize) -> Self {
@@ -140,8 +143,34 @@ impl DomeMaps {
         self.slots.iter().map(|s| self.drawings - s.drawing.max(s.since)).max().unwrap_or(0)
     }
 
-    /// The shadow buffer R = Σ C N·L (1 − S) (eq. 3) of neighbouring surfaces.
-    pub fn shadow_buffer(&self, surfaces: &[Surface]) -> Vec<[f32; 3]> {
+    /// By light, corners of a body in which all lies that its map may shadow within a box, m.
+    pub fn shadowed(&self, [low, high]: [Vec3; 2]) -> Vec<[Vec3; 16]> {
+        let body = |slot: &Slot| {
+            let Bounds { min, max, .. } = slot.drawn.plan.bounds;
+            // A texel and more around.
+            let margin = Vec3::splat(MARGIN * min.distance(max));
+            let shift = self.pose.anchor - slot.drawn.pose.anchor;
+            let (min, max) = (min - margin + shift, max + margin + shift);
+            let direction = slot.drawn.direction;
+            // How far the object goes down the light until it has left the box.
+            let leaves = |k: usize| match direction[k] {
+                d if d > 0.0 => (max[k] - low[k]) / d,
+                d if d < 0.0 => (min[k] - high[k]) / d,
+                _ => f32::INFINITY,
+            };
+            let far = leaves(0).min(leaves(1)).min(leaves(2)).max(0.0);
+            std::array::from_fn(|i| {
+                let pick = |bit: usize, low: f32, high: f32| if i >> bit & 1 > 0 { high } else { low };
+                let corner = Vec3::new(pick(0, min.x, max.x), pick(1, min.y, max.y), pick(2, min.z, max.z));
+                corner - direction * pick(3, 0.0, far)
+            })
+        };
+        self.slots.iter().filter(|s| s.drawn.map.is_some()).map(body).collect()
+    }
+
+    /// The shadow buffer R = Σ C N·L (1 − S) (eq. 3) of neighbouring surfaces. `gone` says whether a surface gets nothing of a
+    /// light anyway, by the numbers of both: what is not there cannot be taken.
+    pub fn shadow_buffer(&self, surfaces: &[Surface], gone: impl Fn(usize, usize) -> bool) -> Vec<[f32; 3]> {
         let Some(first) = surfaces.first() else { return Vec::new() };
         let low = surfaces.iter().fold(first.position, |a, s| a.min(s.position));
         let high = surfaces.iter().fold(first.position, |a, s| a.max(s.position));
@@ -149,12 +178,13 @@ impl DomeMaps {
         // Where the object was when the map was drawn, a point stood as it stands to the object now.
         let then = |slot: &Slot| slot.drawn.pose.anchor - self.pose.anchor;
         let mut sums = vec![[0.0; 3]; surfaces.len()];
-        for slot in self.slots.iter().filter(|s| s.drawn.plan.may_shadow(centre + then(s), radius)) {
+        let may_shadow = |s: &Slot| s.drawn.plan.may_shadow(centre + then(s), radius);
+        for (i, slot) in self.slots.iter().enumerate().filter(|(_, s)| may_shadow(s)) {
             let Some(map) = &slot.drawn.map else { continue };
             let (direction, power) = (slot.light.source.direction, slot.light.power());
             // Neighbours mostly have one normal.
             let mut lookup: Option<(Vec3, DistantLookup)> = None;
-            for (surface, sum) in surfaces.iter().zip(&mut sums) {
+            for (at, (surface, sum)) in surfaces.iter().zip(&mut sums).enumerate() {
                 let cos = surface.normal.dot(direction);
                 if cos <= 0.0 {
                     continue;
@@ -167,7 +197,7 @@ impl DomeMaps {
                             .1
                     }
                 };
-                if on.blocked(surface.position) {
+                if on.blocked(surface.position) && !gone(i, at) {
                     (0..3).for_each(|k| sum[k] += cos * power[k]);
                 }
             }
@@ -175,25 +205,61 @@ impl DomeMaps {
         sums
     }
 
-    /// The same of a surface of the object: looked up where it was when the map was drawn, turned with the object, and a texel
+    /// The maps as the object's own surfaces look them up.
+    pub fn on_itself(&self) -> OnItself<'_> {
+        let lift_m = self.bounds.map_or(0.0, |b| 2.0 * b.radius / self.size.max(1) as f32);
+        OnItself { lift_m, lights: self.slots.iter().map(|slot| OwnLight::new(slot, &self.pose)).collect() }
+    }
+}
+
+struct OwnLight<'a> {
+    light: &'a DomeLight,
+    /// Its direction when the map was drawn.
+    drawn: Vec3,
+    turn: Quat,
+    lookup: Option<DistantLookup<'a>>,
+}
+
+impl<'a> OwnLight<'a> {
+    /// A point turns with the object, which now has a pose, to where it was when the map was drawn.
+    fn new(slot: &'a Slot, now: &Pose) -> Self {
+        let then = slot.drawn.pose;
+        let turn = then.turn * now.turn.inverse();
+        let lookup = |map| DistantLookup::moved(map, turn, then.anchor - turn * now.anchor);
+        Self {
+            light: &slot.light,
+            drawn: slot.drawn.direction,
+            turn,
+            lookup: slot.drawn.map.as_ref().map(lookup),
+        }
+    }
+}
+
+/// The shadow of the object on itself.
+pub struct OnItself<'a> {
+    lift_m: f32,
+    lights: Vec<OwnLight<'a>>,
+}
+
+impl OnItself<'_> {
+    /// R of a surface of the object: looked up where it was when the map was drawn, turned with the object, and a texel
     /// above, so that hollows do not hide themselves. `hidden` says whether something else hides a light, by its number and
     /// direction.
-    pub fn own_shadow_buffer(&self, surface: &Surface, hidden: impl Fn(usize, Vec3) -> bool) -> [f32; 3] {
-        let lift_m = self.bounds.map_or(0.0, |b| 2.0 * b.radius / self.size.max(1) as f32);
-        let from = surface.position + surface.face_normal * lift_m - self.pose.anchor;
+    pub fn shadow_buffer(&self, surface: &Surface, hidden: impl Fn(usize, Vec3) -> bool) -> [f32; 3] {
+        let from = surface.position + surface.face_normal * self.lift_m;
         let mut sum = [0.0; 3];
-        for (i, Slot { light, drawn, .. }) in self.slots.iter().enumerate() {
-            let direction = light.source.direction;
-            let cos = surface.normal.dot(direction);
-            let turn = drawn.pose.turn * self.pose.turn.inverse();
-            let face = turn * surface.face_normal;
-            // Where smooth normals differ from the triangle's, its edges would show.
-            if cos <= 0.0 || face.dot(drawn.direction) <= 0.0 {
+        for (i, OwnLight { light, drawn, turn, lookup }) in self.lights.iter().enumerate() {
+            let cos = surface.normal.dot(light.source.direction);
+            if cos <= 0.0 {
                 continue;
             }
-            let at = turn * from + drawn.pose.anchor;
-            let own = drawn.map.as_ref().is_some_and(|m| DistantLookup::new(m, face, Vec3::ZERO).blocked(at));
-            if own || hidden(i, direction) {
+            let face = *turn * surface.face_normal;
+            // Where smooth normals differ from the triangle's, its edges would show.
+            if face.dot(*drawn) <= 0.0 {
+                continue;
+            }
+            let own = lookup.is_some_and(|lookup| lookup.facing(face).blocked(from));
+            if own || hidden(i, light.source.direction) {
                 let power = light.power();
                 (0..3).for_each(|k| sum[k] += cos * power[k]);
             }
@@ -246,7 +312,8 @@ mod tests {
         // A lid that hides the whole sky.
         let lid = cuboid(Vec3::Y * 0.01, Vec3::new(5.0, 0.001, 5.0));
         maps.update(&lights, &lid, at(Vec3::ZERO));
-        let (gone, all) = (maps.shadow_buffer(&[floor(0.0, 0.0)])[0], irradiance(&lights, Vec3::Y));
+        let (gone, all) =
+            (maps.shadow_buffer(&[floor(0.0, 0.0)], |_, _| false)[0], irradiance(&lights, Vec3::Y));
         assert!(
             all[0] > 0.0 && (0..3).all(|k| (gone[k] - all[k]).abs() <= 1e-6 * all[k]),
             "{gone:?} {all:?}"
@@ -255,7 +322,7 @@ mod tests {
         maps.update(&lights, &crumb, at(Vec3::new(9.0, 9.0, 9.0)));
         let mut far = DomeMaps::new(64, 1);
         far.update(&lights, &crumb, at(Vec3::ZERO));
-        assert_eq!(far.shadow_buffer(&[floor(0.0, 0.0)]), [[0.0; 3]]);
+        assert_eq!(far.shadow_buffer(&[floor(0.0, 0.0)], |_, _| false), [[0.0; 3]]);
     }
 
     #[test]
@@ -268,11 +335,12 @@ mod tests {
         maps.update(&lights, &object, at(Vec3::ZERO));
         let places: Vec<[f32; 2]> =
             (0..400).map(|i| [i as f32 % 20.0 * 0.05 - 0.5, i as f32 / 400.0 - 0.5]).collect();
-        let before: Vec<_> = places.iter().map(|p| maps.shadow_buffer(&[floor(p[0], p[1])])[0]).collect();
+        let before: Vec<_> =
+            places.iter().map(|p| maps.shadow_buffer(&[floor(p[0], p[1])], |_, _| false)[0]).collect();
         assert_eq!(maps.update(&lights, &moved, at(by)), 1);
         let mut other = 0;
         for (p, before) in places.iter().zip(before) {
-            let now = maps.shadow_buffer(&[floor(p[0] + by.x, p[1] + by.z)])[0];
+            let now = maps.shadow_buffer(&[floor(p[0] + by.x, p[1] + by.z)], |_, _| false)[0];
             other += usize::from((0..3).any(|k| (now[k] - before[k]).abs() > 0.2));
         }
         assert!(other < 4, "{other} of 400 points differ");
@@ -314,7 +382,7 @@ mod tests {
         for (place, normal) in [(Vec3::new(0.25, 0.3, 0.0), Vec3::Y), (Vec3::new(-0.2, 0.2, 0.05), Vec3::Z)] {
             let (position, normal) = (turn * place, turn * normal);
             let own = Surface { position, normal, face_normal: normal, ..floor(0.0, 0.0) };
-            assert_eq!(maps.own_shadow_buffer(&own, |_, _| false), [0.0; 3], "{place}");
+            assert_eq!(maps.on_itself().shadow_buffer(&own, |_, _| false), [0.0; 3], "{place}");
         }
     }
 

@@ -19,7 +19,7 @@ mod sphere_map;
 
 pub use cube::{CubeMap, Sums};
 pub use lights::{Cell, DomeLight, Layout, above, irradiance, lights, strongest};
-pub use maps::{DomeMaps, Pose, bound};
+pub use maps::{DomeMaps, OnItself, Pose, bound};
 pub(crate) use object::render_object;
 pub use plate::LightDome;
 pub(crate) use plate::SIDE;

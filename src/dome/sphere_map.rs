@@ -10,9 +10,12 @@ use crate::probe::mirror_ball::reflected_ray;
 use crate::probe::outline;
 use glam::{Mat3, Vec3};
 use nalgebra::{Point2, Point3, Vector3};
+use rayon::prelude::*;
 
 /// Parts of a pixel along each side.
 const PARTS: usize = 3;
+/// One less where more pixels than these show the environment across.
+const LARGE_PX: usize = 90;
 /// Reflections closer to the ball's outline than this mix with what stands behind it, px.
 const BLIND_PX: f64 = 1.5;
 /// Smallest ball that shows an environment, px across.
@@ -155,25 +158,26 @@ impl SphereMap {
         size: (usize, usize),
         low: [f64; 2],
         high: [f64; 2],
-        show: impl Fn(Point2<f64>) -> Option<Vec3>,
+        show: impl Fn(Point2<f64>) -> Option<Vec3> + Sync,
     ) -> Self {
         let (left, top) = (low[0].max(0.0) as usize, low[1].max(0.0) as usize);
         let (right, bottom) = ((high[0].ceil() as usize).min(size.0), (high[1].ceil() as usize).min(size.1));
-        let (columns, rows) = ((right - left) * PARTS + 1, (bottom - top) * PARTS + 1);
-        let at = |i: usize, from: usize| from as f64 + i as f64 / PARTS as f64;
+        // A large picture has parts enough.
+        let cut = if (right - left).min(bottom - top) > LARGE_PX { PARTS - 1 } else { PARTS };
+        let (columns, rows) = ((right - left) * cut + 1, (bottom - top) * cut + 1);
+        let at = |i: usize, from: usize| from as f64 + i as f64 / cut as f64;
         let corner = |i: usize| show(Point2::new(at(i % columns, left), at(i / columns, top)));
-        let corners: Vec<Option<Vec3>> = (0..columns * rows).map(corner).collect();
-        let mut parts = Vec::new();
-        for (row, column) in (0..rows - 1).flat_map(|r| (0..columns - 1).map(move |c| (r, c))) {
+        let corners: Vec<Option<Vec3>> = (0..columns * rows).into_par_iter().map(corner).collect();
+        let part = |i: usize| {
+            let (row, column) = (i / (columns - 1), i % (columns - 1));
             let at = |dr: usize, dc: usize| corners[(row + dr) * columns + column + dc];
-            let [Some(a), Some(b), Some(c), Some(d)] = [at(0, 0), at(0, 1), at(1, 1), at(1, 0)] else {
-                continue;
-            };
-            let Some(direction) = (a + b + c + d).try_normalize() else { continue };
-            let (x, y) = (left + column / PARTS, top + row / PARTS);
+            let (a, b, c, d) = (at(0, 0)?, at(0, 1)?, at(1, 1)?, at(1, 0)?);
+            let direction = (a + b + c + d).try_normalize()?;
+            let (x, y) = (left + column / cut, top + row / cut);
             let solid_angle = spherical_triangle(a, b, c) + spherical_triangle(a, c, d);
-            parts.push(Part { pixel: (y * size.0 + x) as u32, direction, solid_angle });
-        }
+            Some(Part { pixel: (y * size.0 + x) as u32, direction, solid_angle })
+        };
+        let parts = (0..(rows - 1) * (columns - 1)).into_par_iter().filter_map(part).collect();
         Self { size, parts }
     }
 

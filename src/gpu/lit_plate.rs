@@ -17,8 +17,8 @@ use std::time::Instant;
 /// Invocations of a workgroup of subtractive_resample.wgsl, and of a side of one of subtractive_gather.wgsl.
 const WORKGROUP: usize = 256;
 const GATHER_SIDE: usize = 8;
-/// Lights of a batch: drivers end long kernels, and llvmpipe, the software Vulkan, ends an invocation's loops after 65,535
-/// rounds without a word, those of rays against the scene included.
+/// Lights of a batch: drivers end long kernels, and llvmpipe, the software Vulkan, ends the loops of an invocation without a word
+/// after 65,535 rounds of all together (`LP_MAX_TGSI_LOOP_ITERATIONS` of Mesa's gallivm), those of rays against the scene included.
 const MOST_LIGHTS: usize = 64;
 /// Kinds of lights, as subtractive_hidden.wgsl has them.
 const DISTANT: u32 = 0;

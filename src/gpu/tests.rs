@@ -50,6 +50,49 @@ fn slices_are_drawn_as_on_the_cpu() {
     }
 }
 
+/// Why lights come in batches.
+#[test]
+fn llvmpipe_ends_a_loop_after_65535_rounds() {
+    let Some(device) = device() else { return };
+    let source = "
+        @group(0) @binding(0) var<storage, read_write> rounds: array<u32>;
+        @compute @workgroup_size(1) fn count() {
+            let end = rounds[1];
+            for (var i = 0u; i < end; i++) { rounds[0] = i + 1u; }
+        }";
+    let source = wgpu::ShaderSource::Wgsl(source.into());
+    let module = device.device.create_shader_module(wgpu::ShaderModuleDescriptor { label: None, source });
+    let pipeline = device.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+        label: None,
+        layout: None,
+        module: &module,
+        entry_point: Some("count"),
+        compilation_options: Default::default(),
+        cache: None,
+    });
+    let rounds = device.storage("rounds", 256);
+    device.queue.write_buffer(&rounds, 0, bytemuck::cast_slice(&[0u32, 100_000]));
+    let bound = device.bind(&pipeline.get_bind_group_layout(0), [rounds.as_entire_binding()]);
+    let staging = device.staging(256);
+    let mut encoder = device.device.create_command_encoder(&Default::default());
+    {
+        let mut pass = encoder.begin_compute_pass(&Default::default());
+        pass.set_pipeline(&pipeline);
+        pass.set_bind_group(0, &bound, &[]);
+        pass.dispatch_workgroups(1, 1, 1);
+    }
+    encoder.copy_buffer_to_buffer(&rounds, 0, &staging, 0, 256);
+    device.queue.submit([encoder.finish()]);
+    let found = device.read::<u32>(&staging).unwrap()[0];
+    let software = device.adapter.contains("llvmpipe");
+    println!("{}: {found} rounds of 100000", device.adapter);
+    assert!(
+        if software { found.abs_diff(65_535) <= 1 } else { found == 100_000 },
+        "{}: {found}",
+        device.adapter
+    );
+}
+
 #[test]
 fn a_lost_device_is_an_error_and_stays_one() {
     let lobby = Lobby::new(lobby_of(250), 48);

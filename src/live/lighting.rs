@@ -1,15 +1,16 @@
 //! The light of a moment: the environment that a ball or a lens shows, in the units of the scene's camera.
 //!
-//! What joins the cameras is the markers' white paper. Where both see it, its colours give the gains between them (exposure and
-//! white balance). Where the second does not, as a lens that looks up, its environment is scaled so that the paper gets the
-//! light that it shows. Light that is clipped in a ball's picture, a lamp mostly, is raised to what the paper gets besides;
-//! what is clipped anew gets what is new.
+//! What joins the cameras is the markers' white paper. Places of it that both see give the gains between them (exposure and
+//! white balance). Where the second sees none, as a lens that looks up, its environment is scaled so that the paper gets the
+//! light that it shows. Light that is clipped in a ball's picture, a lamp mostly, is raised to what the paper gets besides
+//! ([`Clipped`]).
 
 use super::Layout;
+use super::clipped::{Clipped, Paper, Place};
 use crate::calibrate::world_from_grid;
 use crate::camera::{Camera, Intrinsics};
 use crate::config::{self, Setup};
-use crate::dome::{self, CubeMap, Fisheye, Seen, SphereMap};
+use crate::dome::{self, CubeMap, Fisheye, SphereMap};
 use crate::image::{Image, RadianceImage};
 use crate::probe::fisheye::Projection;
 use glam::{Mat3, Vec3};
@@ -18,16 +19,10 @@ use std::f32::consts::PI;
 
 /// Side of the cube map, texels.
 const SIDE: usize = 32;
-/// Side of the cube on which it is noted how much brighter clipped light is than it looks.
-const CELLS: usize = 8;
-/// Clipped light within this angle (cosine) of what was clipped before is the same light.
-const SAME_LIGHT: f32 = 0.92;
-/// A light that was not seen clipped for so many frames is forgotten.
-const FORGOTTEN: usize = 10;
-/// Share by which known boosts follow a small misfit in a frame; a large one is followed at once.
-const FOLLOW: f32 = 0.2;
-const LARGE: f32 = 0.15;
-const MOST_BOOST: f32 = 1e4;
+/// Side of the cube that is summed up at every place of the paper.
+const COARSE: usize = 8;
+/// Fewest places of white paper that say anything.
+const LEAST_PLACES: usize = 4;
 
 /// A picture in linear radiance, and where it is clipped.
 pub struct Picture {
@@ -49,24 +44,15 @@ enum View {
     },
 }
 
-/// A part of the sky whose light is clipped.
-#[derive(Clone, Copy)]
-struct Boost {
-    by: [f32; 3],
-    seen: usize,
-}
-
 /// Follows the light.
 pub struct Lighting {
     view: View,
     ball: (Point3<f64>, f64),
-    distance_m: f64,
-    place: Point3<f64>,
+    from: Place,
     reflectivity: [f32; 3],
     paper: [f32; 3],
     white: Vec<Point3<f64>>,
-    boosts: Vec<Option<Boost>>,
-    frame: usize,
+    clipped: Clipped,
 }
 
 impl Lighting {
@@ -91,26 +77,44 @@ impl Lighting {
             }
             _ => View::Own,
         };
+        let (at, radius_m) = match (settings.setup, &settings.environment) {
+            (Setup::Fisheye, Some(environment)) => (place(environment.position_m), 0.0),
+            _ => (centre, probe.radius_m as f32),
+        };
         Ok(Self {
             view,
             ball: (centre, probe.radius_m),
-            distance_m: f64::from(settings.environment_distance_m),
-            place: match (settings.setup, &settings.environment) {
-                (Setup::Fisheye, Some(environment)) => place(environment.position_m),
-                _ => centre,
-            },
+            from: Place { centre: vec3(&at), distance_m: settings.environment_distance_m, radius_m },
             reflectivity: probe.reflectivity.map(|r| r as f32),
             paper: settings.paper,
             white: layout.white().iter().map(|p| place([p.x, p.y, 0.0])).collect(),
-            boosts: vec![None; 6 * CELLS * CELLS],
-            frame: 0,
+            clipped: Clipped::new(),
         })
     }
 
     /// Where the environment is seen from, m.
     pub fn place(&self) -> Vec3 {
-        let [x, y, z] = self.place.coords.into();
-        Vec3::new(x as f32, y as f32, z as f32)
+        self.from.centre
+    }
+
+    /// The environment as it is seen from another place, m.
+    pub fn seen_from(&self, environment: &CubeMap, place: Vec3) -> CubeMap {
+        match self.from.distance_m > 0.0 {
+            true => environment.seen_from(place - self.from.centre, self.from.distance_m),
+            false => environment.clone(),
+        }
+    }
+
+    /// The direction in which the environment's picture shows what lies in a direction from another place, m.
+    pub fn shown(&self, place: Vec3, direction: Vec3) -> Vec3 {
+        let Place { centre, distance_m, .. } = self.from;
+        let by = place - centre;
+        let along = by.dot(direction);
+        let squared = along * along + distance_m * distance_m - by.length_squared();
+        match distance_m > 0.0 && squared > 0.0 {
+            true => (by + direction * (squared.sqrt() - along)).normalize_or(direction),
+            false => direction,
+        }
     }
 
     /// The environment of a frame, in the scene's units. `camera` is the scene's.
@@ -120,116 +124,93 @@ impl Lighting {
         camera: &Camera,
         second: Option<&Picture>,
     ) -> Result<CubeMap, dome::Problem> {
-        self.frame += 1;
         let white = white(&self.white, scene, camera);
         let from_ball = self.reflectivity.map(|r| 1.0 / r);
         let (seen, gain) = match (&self.view, second) {
             (View::Ball { camera, map }, Some(picture)) => {
                 let there = self::white(&self.white, picture, camera);
                 let seen = map.environment(&picture.radiance, &picture.clipped, SIDE);
-                let gain = white.zip(there).map(|(a, b)| [0, 1, 2].map(|k| from_ball[k] * a[k] / b[k]));
-                (seen, gain)
+                (seen, ratio(&white, &there).map(|r| [0, 1, 2].map(|k| from_ball[k] * r[k])))
             }
             (View::Fisheye { map }, Some(picture)) => {
                 (map.environment(&picture.radiance, &picture.clipped, SIDE), None)
             }
             _ => {
                 let (centre, radius_m) = self.ball;
-                let map = SphereMap::of_ball(camera, &centre, radius_m, self.distance_m)?;
+                let distance_m = f64::from(self.from.distance_m);
+                let map = SphereMap::of_ball(camera, &centre, radius_m, distance_m)?;
                 (map.environment(&scene.radiance, &scene.clipped, SIDE), Some(from_ball))
             }
         };
         // What the white paper shows is what it gets.
-        let wanted = white.map(|w| [0, 1, 2].map(|k| PI * w[k] / self.paper[k]));
-        Ok(match (gain, wanted) {
-            (Some(gain), Some(wanted)) => self.raised(&seen, gain, wanted),
-            (Some(gain), None) => seen.cube.map(|l| [0, 1, 2].map(|k| l[k] * gain[k])),
-            (None, Some(wanted)) => {
-                let got = seen.cube.irradiance(Vec3::Y);
-                seen.cube.map(|l| [0, 1, 2].map(|k| l[k] * wanted[k] / got[k].max(1e-6)))
+        let gets = |(i, w): (usize, [f32; 3])| Paper {
+            place: vec3(&self.white[i]),
+            irradiance: [0, 1, 2].map(|k| PI * w[k] / self.paper[k]),
+        };
+        let paper: Vec<Paper> = white.into_iter().map(gets).collect();
+        let scaled = |cube: &CubeMap, by: [f32; 3]| cube.map(|l| [0, 1, 2].map(|k| l[k] * by[k]));
+        if paper.len() < LEAST_PLACES {
+            return Ok(scaled(&seen.cube, gain.unwrap_or([1.0; 3])));
+        }
+        Ok(match gain {
+            Some(gain) => {
+                let everywhere: Vec<Vec3> = self.white.iter().map(vec3).collect();
+                let [all, clipped] = [&seen.cube, &seen.clipped].map(|cube| scaled(cube, gain));
+                self.clipped.raised(&all, &clipped, &paper, &everywhere, &self.from)
             }
-            (None, None) => seen.cube,
+            None => {
+                let coarse = seen.cube.downsampled(SIDE / COARSE);
+                let given: Vec<[f32; 3]> = paper.iter().map(|p| self.given(&coarse, p.place)).collect();
+                let by = |k: usize| {
+                    let shares =
+                        paper.iter().zip(&given).map(|(p, given)| p.irradiance[k] / given[k].max(1e-6));
+                    middle(shares.collect())
+                };
+                scaled(&seen.cube, [0, 1, 2].map(by))
+            }
         })
     }
 
-    /// Clipped light raised until the paper gets what it shows.
-    fn raised(&mut self, seen: &Seen, gain: [f32; 3], wanted: [f32; 3]) -> CubeMap {
-        let scaled = |cube: &CubeMap| cube.map(|l| [0, 1, 2].map(|k| l[k] * gain[k]));
-        let (all, clipped) = (scaled(&seen.cube), scaled(&seen.clipped));
-        let coarse = clipped.downsampled(SIDE / CELLS);
-        // Irradiance that the clipped part of each cell gives to the paper.
-        let given: Vec<[f32; 3]> = (0..coarse.texels().len())
-            .map(|i| {
-                let (direction, solid_angle) = coarse.texel(i);
-                coarse.texels()[i].0.map(|l| l * direction.y.max(0.0) * solid_angle as f32)
-            })
-            .collect();
-        let lit = |i: &usize| coarse.texels()[*i].0.iter().any(|l| *l > 0.0);
-        let rest = [all.irradiance(Vec3::Y), clipped.irradiance(Vec3::Y)];
-        let lacking = [0, 1, 2].map(|k| (wanted[k] - (rest[0][k] - rest[1][k])).max(0.0));
-        let mut fresh = Vec::new();
-        let mut known = [0.0f32; 3];
-        for i in (0..given.len()).filter(lit) {
-            let near = |j: &usize| coarse.texel(i).0.dot(coarse.texel(*j).0) > SAME_LIGHT;
-            let remembered = |j: &usize| self.boosts[*j].is_some_and(|b| self.frame - b.seen <= FORGOTTEN);
-            let closest = |j: &usize| (1e6 * coarse.texel(i).0.dot(coarse.texel(*j).0)) as i64;
-            match (0..given.len()).filter(near).filter(remembered).max_by_key(closest) {
-                Some(j) => {
-                    let by = self.boosts[j].map_or([1.0; 3], |b| b.by);
-                    self.boosts[i] = Some(Boost { by, seen: self.frame });
-                    (0..3).for_each(|k| known[k] += by[k] * given[i][k]);
-                }
-                None => fresh.push(i),
-            }
+    /// Irradiance that an environment gives to a place of the paper.
+    fn given(&self, environment: &CubeMap, to: Vec3) -> [f32; 3] {
+        let mut sum = [0.0; 3];
+        for (i, radiance) in environment.texels().iter().enumerate() {
+            let (direction, solid_angle) = environment.texel(i);
+            let gives = solid_angle as f32 * self.from.gives(direction, to);
+            (0..3).for_each(|k| sum[k] += radiance.0[k] * gives);
         }
-        let new = [0, 1, 2].map(|k| fresh.iter().map(|&i| given[i][k]).sum::<f32>());
-        let boost = |lacking: f32, given: f32| {
-            if given > 0.0 { (lacking / given).clamp(1.0, MOST_BOOST) } else { 1.0 }
-        };
-        if fresh.is_empty() {
-            let follow = [0, 1, 2].map(|k| {
-                let misfit = if known[k] > 0.0 { lacking[k] / known[k] } else { 1.0 };
-                if (misfit - 1.0).abs() > LARGE { misfit } else { 1.0 + FOLLOW * (misfit - 1.0) }
-            });
-            for b in self.boosts.iter_mut().flatten().filter(|b| b.seen == self.frame) {
-                b.by = [0, 1, 2].map(|k| (b.by[k] * follow[k]).clamp(1.0, MOST_BOOST));
-            }
-        } else {
-            let by = [0, 1, 2].map(|k| boost(lacking[k] - known[k], new[k]));
-            fresh.iter().for_each(|&i| self.boosts[i] = Some(Boost { by, seen: self.frame }));
-        }
-        let texel = |d: Vec3| {
-            let (a, c) = (all.nearest(d), clipped.nearest(d));
-            let cell = coarse.index(d);
-            let by = self.boosts[cell].filter(|b| b.seen == self.frame).map_or([1.0; 3], |b| b.by);
-            [0, 1, 2].map(|k| (a[k] - c[k]).max(0.0) + c[k] * by[k])
-        };
-        CubeMap::from_fn(SIDE, texel)
+        sum
     }
 }
 
-/// Median of the white paper's places that a picture shows unclipped; none where it shows too few.
-fn white(places: &[Point3<f64>], picture: &Picture, camera: &Camera) -> Option<[f32; 3]> {
+/// Places of white paper, by number, that a picture shows unclipped.
+fn white(places: &[Point3<f64>], picture: &Picture, camera: &Camera) -> Vec<(usize, [f32; 3])> {
     let (w, h) = picture.radiance.size();
-    let mut seen: Vec<[f32; 3]> = Vec::new();
-    for place in places {
-        let Some(p) = camera.project(place) else { continue };
+    let shown = |(i, place): (usize, &Point3<f64>)| {
+        let p = camera.project(place)?;
         let inside = p.x >= 1.0 && p.y >= 1.0 && p.x < w as f64 - 1.0 && p.y < h as f64 - 1.0;
-        if inside && !picture.clipped.at(p.x as usize, p.y as usize) {
-            seen.push(picture.radiance.bilinear(p.x, p.y).0);
-        }
-    }
-    if seen.len() < 4 {
-        return None;
-    }
-    // The brighter half: the other may lie in the shadow of something or on ink.
-    let quantile = |k: usize| {
-        let mut values: Vec<f32> = seen.iter().map(|s| s[k]).collect();
-        values.sort_by(f32::total_cmp);
-        values[values.len() * 6 / 10]
+        (inside && !picture.clipped.at(p.x as usize, p.y as usize))
+            .then(|| (i, picture.radiance.bilinear(p.x, p.y).0))
     };
-    let white = [0, 1, 2].map(quantile);
-    white.iter().all(|v| *v > 1e-4).then_some(white)
+    places.iter().enumerate().filter_map(shown).filter(|(_, w)| w.iter().all(|v| *v > 1e-4)).collect()
+}
+
+/// How much brighter places are in one picture than in another, in the middle of those that both show.
+fn ratio(here: &[(usize, [f32; 3])], there: &[(usize, [f32; 3])]) -> Option<[f32; 3]> {
+    let both = here.iter().filter_map(|(i, a)| Some((a, &there.iter().find(|(j, _)| i == j)?.1)));
+    let both: Vec<_> = both.collect();
+    let by = |k: usize| middle(both.iter().map(|(a, b)| a[k] / b[k]).collect());
+    (both.len() >= LEAST_PLACES).then(|| [0, 1, 2].map(by))
+}
+
+/// The median.
+fn middle(mut values: Vec<f32>) -> f32 {
+    values.sort_by(f32::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(1.0)
+}
+
+fn vec3(p: &Point3<f64>) -> Vec3 {
+    Vec3::new(p.x as f32, p.y as f32, p.z as f32)
 }
 
 /// Pose of a fixed camera, +Z to its target, +Y down in its picture.

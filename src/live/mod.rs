@@ -6,11 +6,14 @@
 //! moving one does not lag; and lights that the ball's picture clips are raised until the markers' white paper gets the light
 //! that it shows.
 
+mod clipped;
 mod compose;
 mod filter;
 mod lighting;
 mod markers;
+mod object;
 mod phantoms;
+mod shadow;
 mod sides;
 mod tracker;
 

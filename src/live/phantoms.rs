@@ -6,7 +6,7 @@ use crate::config;
 use crate::model::Scene;
 use crate::model::face::triangulate;
 use crate::synthetic::cuboid;
-use crate::visibility::Bvh;
+use crate::visibility::{Bvh, Hit};
 use glam::Vec3;
 use nalgebra::{Point3, Rotation3, Vector3};
 
@@ -20,6 +20,10 @@ pub struct Phantoms {
 
 /// Back sides looked through.
 const BACK_SIDES: usize = 8;
+/// What is nearer to a surface lies on it, m.
+const TOUCHES_M: f32 = 1e-3;
+/// Of cosines.
+const ROUNDING: f32 = 1e-6;
 
 impl Phantoms {
     /// Of the settings; `scene` is the model that they name.
@@ -81,11 +85,23 @@ impl Phantoms {
         &self.normals
     }
 
-    /// The first front that a ray meets: place (m) and number of its normal.
-    pub fn seen(&self, origin: Vec3, direction: Vec3) -> Option<(Vec3, usize)> {
+    /// Lowest and highest coordinates, m.
+    pub fn bounds(&self) -> [Vec3; 2] {
+        let corners = self.bvh.triangles().flatten();
+        corners.fold([Vec3::INFINITY, Vec3::NEG_INFINITY], |[a, b], p| [a.min(p), b.max(p)])
+    }
+
+    /// The first front that a ray meets: place (m) and number of its normal. `closest` finds what the ray meets first from a
+    /// distance on.
+    pub fn seen(
+        &self,
+        origin: Vec3,
+        direction: Vec3,
+        closest: impl Fn(f32) -> Option<Hit>,
+    ) -> Option<(Vec3, usize)> {
         let mut from = 1e-4;
         for _ in 0..BACK_SIDES {
-            let hit = self.bvh.closest(origin, direction, from, f32::INFINITY)?;
+            let hit = closest(from)?;
             let normal = self.normal_of[hit.triangle as usize];
             if self.normals[normal].dot(direction) < 0.0 {
                 return Some((origin + direction * hit.t, normal));
@@ -93,6 +109,27 @@ impl Phantoms {
             from = hit.t * (1.0 + 1e-5) + 1e-5;
         }
         None
+    }
+
+    /// Whether one of them may hide light of a direction from something in a box (m); may say yes where none does. What lies on
+    /// a surface is not hidden by it.
+    pub fn may_hide(&self, [low, high]: [Vec3; 2], direction: Vec3) -> bool {
+        let (centre, half) = ((low + high) / 2.0, (high - low) / 2.0);
+        self.bvh.triangles().zip(&self.normal_of).any(|(corners, &normal)| {
+            let normal = self.normals[normal];
+            let (at, reach) = (normal.dot(centre - corners[0]), normal.abs().dot(half));
+            let towards = normal.dot(direction);
+            // All of the box on one side, and the light on the same.
+            let before = at - reach > -TOUCHES_M && towards >= -ROUNDING;
+            let behind = at + reach < TOUCHES_M && towards <= ROUNDING;
+            // The sphere around the triangle off the way of the sphere around the box.
+            let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
+            let radius = corners.iter().map(|c| c.distance(middle)).fold(0.0, f32::max) + half.length();
+            let way = middle - centre;
+            let along = way.dot(direction);
+            let beside = along < -radius || way.length_squared() - along * along > radius * radius;
+            !(before || behind || beside)
+        })
     }
 }
 
@@ -119,11 +156,56 @@ mod tests {
         let solid = config::PhantomBox { centre_m: [0.2, 0.0, 0.1], size_m: [0.2; 3], rotation_deg: 0.0 };
         let settings = config::Live { planes: vec![plane], boxes: vec![solid], ..Default::default() };
         let phantoms = Phantoms::of(&settings, None).unwrap();
-        let down = |x: f32| phantoms.seen(Vec3::new(x, 1.0, 0.0), Vec3::NEG_Y).unwrap();
+        let seen = |origin, direction| {
+            let closest = |from| phantoms.bvh.closest(origin, direction, from, f32::INFINITY);
+            phantoms.seen(origin, direction, closest)
+        };
+        let down = |x: f32| seen(Vec3::new(x, 1.0, 0.0), Vec3::NEG_Y).unwrap();
         assert!(down(-0.5).0.y.abs() < 1e-6 && (down(0.2).0.y - 0.2).abs() < 1e-6);
-        let (place, normal) = phantoms.seen(Vec3::new(-1.0, 0.1, 0.0), Vec3::X).unwrap();
+        let (place, normal) = seen(Vec3::new(-1.0, 0.1, 0.0), Vec3::X).unwrap();
         assert!((place.x - 0.1).abs() < 1e-6 && phantoms.normals()[normal].dot(Vec3::NEG_X) > 0.999);
-        assert_eq!(phantoms.seen(Vec3::NEG_Y, Vec3::Y).map(|h| h.1), None, "from below there are backs only");
+        assert_eq!(seen(Vec3::NEG_Y, Vec3::Y).map(|h| h.1), None, "from below there are backs only");
+    }
+
+    #[test]
+    fn what_may_hide_a_light_is_never_left_out() {
+        let plane = config::PhantomPlane {
+            corner_m: [-1.0, -1.0, 0.0],
+            side_u_m: [2.0, 0.0, 0.0],
+            side_v_m: [0.0, 2.0, 0.0],
+        };
+        let plane = config::Live { planes: vec![plane], ..Default::default() };
+        let with_box = config::Live {
+            boxes: vec![config::PhantomBox {
+                centre_m: [0.2, 0.0, 0.1],
+                size_m: [0.2; 3],
+                rotation_deg: 30.0,
+            }],
+            ..plane.clone()
+        };
+        let [plane, with_box] = [plane, with_box].map(|s| Phantoms::of(&s, None).unwrap());
+        let (mut yes, mut no) = (0, 0);
+        for i in 0..2000 {
+            let part = |k: usize| ((i * k) as f32 * 0.618_034).fract();
+            let low = Vec3::new(part(1) - 0.5, 0.3 * part(2), part(3) - 0.5);
+            let area = [low, low + Vec3::new(0.05, 0.05 * part(7), 0.05)];
+            let direction = Vec3::new(part(4) - 0.5, 0.7 * part(5), part(6) - 0.5).normalize();
+            assert!(!plane.may_hide(area, direction), "nothing above a plane is hidden by it");
+            let inside =
+                |k: usize| area[0] + (area[1] - area[0]) * Vec3::new(part(k + 9), part(k + 10), part(k + 11));
+            // What is touched does not hide.
+            let hidden = |k| {
+                let hit = with_box.bvh.closest(inside(k), direction, 1e-4, f32::INFINITY);
+                hit.is_some_and(|hit| {
+                    let normal = with_box.normals[with_box.normal_of[hit.triangle as usize]];
+                    hit.t * normal.dot(direction).abs() > TOUCHES_M
+                })
+            };
+            let hides = with_box.may_hide(area, direction);
+            assert!(hides || !(0..20).any(hidden), "{area:?} {direction}");
+            *if hides { &mut yes } else { &mut no } += 1;
+        }
+        assert!(yes > 100 && no > 500, "{yes} {no}");
     }
 
     #[test]

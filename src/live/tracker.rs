@@ -15,6 +15,9 @@ const CORNER_SIGMA_PX: f64 = 0.05;
 const MOST_OFF: f64 = 2.5;
 /// A pose whose corners are further off than this is none, rms in px.
 const MOST_RMS_PX: f64 = 3.0;
+/// Markers are sought where they are expected and so far around, px, and as a share of their extent.
+const MARGIN_PX: f64 = 16.0;
+const MARGIN: f64 = 0.1;
 
 /// Whether the markers are seen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -53,6 +56,8 @@ pub struct Tracker {
     hold: usize,
     fade: usize,
     lost: usize,
+    /// Markers in the last frame that showed some.
+    seen: usize,
     last: Option<Camera>,
 }
 
@@ -67,6 +72,7 @@ impl Tracker {
             hold: settings.hold_frames,
             fade: settings.fade_frames,
             lost: 0,
+            seen: 0,
             last: None,
         })
     }
@@ -78,13 +84,13 @@ impl Tracker {
 
     /// The next frame, as grey codes and in linear radiance.
     pub fn follow(&mut self, grey: &Image<u8>, picture: &RadianceImage) -> Result<Tracked, Problem> {
-        let mut seen = vision::markers(grey, &self.dictionary)?;
+        let mut seen = self.markers(grey)?;
         seen.iter_mut().for_each(|m| m.corners = refined(m.corners, picture));
         let Some((posed, corners)) = self.posed(&seen) else { return Ok(self.missed()) };
         if self.lost > 0 {
             self.filter.reset();
         }
-        self.lost = 0;
+        (self.lost, self.seen) = (0, seen.len());
         let measured = posed.camera.world_from_camera;
         // Six parameters share the noise of 2n numbers: an rms of σ √(3/n) at the corners.
         let noise = posed.rms_px.max(CORNER_SIGMA_PX) * (3.0 / corners as f64).sqrt();
@@ -100,6 +106,35 @@ impl Tracker {
             sight: Sight::Seen(corners / 4),
             opacity: 1.0,
         })
+    }
+
+    /// All markers, sought where the last frames let expect them, and everywhere if fewer are there than before.
+    fn markers(&self, grey: &Image<u8>) -> Result<Vec<Marker>, Problem> {
+        if let Some(expected) = self.expected(grey.size()) {
+            let found = vision::markers(grey, &self.dictionary, Some(&expected))?;
+            if found.len() >= self.seen {
+                return Ok(found);
+            }
+        }
+        Ok(vision::markers(grey, &self.dictionary, None)?)
+    }
+
+    /// The part of a picture in which the markers are expected.
+    fn expected(&self, (width, height): (usize, usize)) -> Option<vision::Expected> {
+        let predicted = self.filter.predict().filter(|_| self.lost == 0)?;
+        let camera = Camera { intrinsics: self.intrinsics.clone(), world_from_camera: predicted };
+        let corners =
+            self.layout.corners().map(|c| camera.project(&(world_from_grid() * Point3::new(c.x, c.y, 0.0))));
+        let corners: Vec<Point2<f64>> = corners.collect::<Option<_>>()?;
+        let side = |k: usize| (corners[k] - corners[k / 4 * 4 + (k + 1) % 4]).norm();
+        let side_px = (0..corners.len()).map(side).fold(f64::MAX, f64::min);
+        let low = |k: usize| corners.iter().map(|c| c[k]).fold(f64::MAX, f64::min);
+        let high = |k: usize| corners.iter().map(|c| c[k]).fold(f64::MIN, f64::max);
+        let margin = |k: usize| MARGIN_PX + MARGIN * (high(k) - low(k));
+        let from = |k: usize, size: usize| (low(k) - margin(k)).clamp(0.0, size as f64) as usize;
+        let to = |k: usize, size: usize| (high(k) + margin(k)).clamp(0.0, size as f64) as usize;
+        let within = [from(0, width), from(1, height), to(0, width), to(1, height)];
+        (within[0] < within[2] && within[1] < within[3]).then_some(vision::Expected { within, side_px })
     }
 
     /// The pose that markers show, and how many corners they are. Markers that are much further off than most, those partly

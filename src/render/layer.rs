@@ -5,7 +5,7 @@ use super::shade::{Lighting, Sample, Scene, shade};
 use crate::artefact::exr::Planes;
 use crate::camera::Camera;
 use crate::image::{Image, Radiance, RadianceImage};
-use crate::visibility::Bvh;
+use crate::visibility::{Bvh, Screen};
 use glam::Vec3;
 use nalgebra::{Point2, Point3};
 use rand::{Rng, SeedableRng, rngs::SmallRng};
@@ -78,12 +78,16 @@ pub(crate) fn render_with(
     let (width, height) = (camera.intrinsics.width_px as usize, camera.intrinsics.height_px as usize);
     let side = antialiasing.max(1);
     let window = window(scene.object, camera);
+    let screens = [scene.bvh, scene_bvh].map(|bvh| Screen::new(bvh, camera));
     let share = 1.0 / (side * side) as f32;
     let rows: Vec<Vec<Pixel>> = (window[1]..window[3])
         .into_par_iter()
         .map(|y| {
             let mut samples = Vec::with_capacity(side * side);
             let row = (window[0]..window[2]).map(|x| {
+                if screens[0].is_empty(x, y) {
+                    return Pixel::default();
+                }
                 let mut rng = SmallRng::seed_from_u64(seed ^ ((y * width + x) as u64 + 1) << 16);
                 samples.clear();
                 let mut hidden = 0;
@@ -93,7 +97,7 @@ pub(crate) fn render_with(
                         x as f64 + place(s % side, rng.random()),
                         y as f64 + place(s / side, rng.random()),
                     );
-                    match see(scene, camera, scene_bvh, &pixel) {
+                    match see(scene, camera, &screens, [x, y], &pixel) {
                         Seen::Object(sample) => samples.push(sample),
                         Seen::Hidden => hidden += 1,
                         Seen::Nothing => {}
@@ -113,9 +117,9 @@ pub(crate) fn render_with(
         .collect();
     let mut rendered = Rendered {
         layer: Layer {
-            colour: Image::from_fn(width, height, |_, _| Radiance::default()),
-            coverage: Image::from_fn(width, height, |_, _| 0.0),
-            depth: Image::from_fn(width, height, |_, _| 0.0),
+            colour: Image::filled(width, height, Radiance::default()),
+            coverage: Image::filled(width, height, 0.0),
+            depth: Image::filled(width, height, 0.0),
         },
         visible_px: 0.0,
         hidden_px: 0.0,
@@ -136,12 +140,13 @@ pub(crate) fn render_with(
 pub(crate) fn visible(scene: &Scene, camera: &Camera, scene_bvh: &Bvh) -> Image<Option<Sample>> {
     let (width, height) = (camera.intrinsics.width_px as usize, camera.intrinsics.height_px as usize);
     let [left, top, right, bottom] = window(scene.object, camera);
+    let screens = [scene.bvh, scene_bvh].map(|bvh| Screen::new(bvh, camera));
     let pixel = |i: usize| {
         let (x, y) = (i % width, i / width);
         if !(left..right).contains(&x) || !(top..bottom).contains(&y) {
             return None;
         }
-        match see(scene, camera, scene_bvh, &Point2::new(x as f64 + 0.5, y as f64 + 0.5)) {
+        match see(scene, camera, &screens, [x, y], &Point2::new(x as f64 + 0.5, y as f64 + 0.5)) {
             Seen::Object(sample) => Some(sample),
             _ => None,
         }
@@ -165,14 +170,17 @@ enum Seen {
     Nothing,
 }
 
-fn see(scene: &Scene, camera: &Camera, scene_bvh: &Bvh, pixel: &Point2<f64>) -> Seen {
+/// What is seen at a place of the picture, in pixel `at`; the screens are those of object and scene.
+fn see(scene: &Scene, camera: &Camera, screens: &[Screen; 2], at: [usize; 2], pixel: &Point2<f64>) -> Seen {
     let ray = camera.ray(pixel);
     let vec3 = |x: f64, y: f64, z: f64| Vec3::new(x as f32, y as f32, z as f32);
     let origin = vec3(ray.origin.x, ray.origin.y, ray.origin.z);
     let direction = vec3(ray.direction.x, ray.direction.y, ray.direction.z);
-    let Some(hit) = scene.bvh.closest(origin, direction, 0.0, f32::INFINITY) else { return Seen::Nothing };
+    let Some(hit) = screens[0].closest(at, origin, direction, 0.0, f32::INFINITY) else {
+        return Seen::Nothing;
+    };
     // A surface that the object touches does not hide it.
-    if scene_bvh.any_hit(origin, direction, 0.0, hit.t - scene.offset) {
+    if screens[1].any_hit(at, origin, direction, 0.0, hit.t - scene.offset) {
         return Seen::Hidden;
     }
     let position = origin + direction * hit.t;

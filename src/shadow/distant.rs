@@ -3,9 +3,10 @@
 
 use super::lookup::slope;
 use super::raster::{DEPTH_BIAS, EMPTY, ShadowMap};
-use glam::{Vec3, Vec4};
+use glam::{Quat, Vec3, Vec4};
 
 /// A map as receivers of one normal look it up.
+#[derive(Clone, Copy)]
 pub struct DistantLookup<'a> {
     map: &'a ShadowMap,
     /// Give column, row and depth of a homogeneous point.
@@ -17,10 +18,19 @@ impl<'a> DistantLookup<'a> {
     /// For receivers of a unit normal, all moved by `shift` (m) before they are looked up. The map must be one of light at
     /// infinity.
     pub fn new(map: &'a ShadowMap, normal: Vec3, shift: Vec3) -> Self {
-        let m = &map.projection.map_from_world;
-        let moved = |row: Vec4| row.truncate().extend(row.dot(shift.extend(1.0)));
-        let rows = [0, 1, 2].map(|i| moved(m.row(i)));
-        Self { map, rows, slope: slope(&map.projection, map.size, Vec3::ZERO, normal) }
+        Self::moved(map, Quat::IDENTITY, shift).facing(normal)
+    }
+
+    /// For receivers turned and then shifted (m) before they are looked up, which face the light.
+    pub fn moved(map: &'a ShadowMap, turn: Quat, shift: Vec3) -> Self {
+        let (m, back) = (&map.projection.map_from_world, turn.inverse());
+        let moved = |row: Vec4| (back * row.truncate()).extend(row.dot(shift.extend(1.0)));
+        Self { map, rows: [0, 1, 2].map(|i| moved(m.row(i))), slope: [0.0; 2] }
+    }
+
+    /// The same for receivers of a unit normal, as it is where they are looked up.
+    pub fn facing(self, normal: Vec3) -> Self {
+        Self { slope: slope(&self.map.projection, self.map.size, Vec3::ZERO, normal), ..self }
     }
 
     /// As [`ShadowMap::blocked`].

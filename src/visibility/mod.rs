@@ -1,5 +1,9 @@
 //! Ray queries on triangle soups (wraps obvhs).
 
+mod screen;
+
+pub use screen::Screen;
+
 use glam::Vec3;
 use obvhs::{
     BvhBuildParams,
@@ -59,6 +63,11 @@ impl Bvh {
                     barycentric: self.barycentric(triangle, origin + direction * hit.t),
                 }
             })
+    }
+
+    /// Corners of all triangles, in the order given.
+    pub fn triangles(&self) -> impl ExactSizeIterator<Item = [Vec3; 3]> {
+        self.triangles.iter().map(|t| [t.v0, t.v1, t.v2].map(Vec3::from))
     }
 
     /// Whether anything lies on the segment from `a` to `b`, its ends excepted by the relative margin 1e-4.

@@ -2,7 +2,7 @@
 
 use super::{HALF, Problem, matrix};
 use crate::image::Image;
-use nalgebra::Point2;
+use nalgebra::{Point2, Vector2};
 use opencv::aruco::{self, CornerRefineMethod, DetectorParameters, Dictionary};
 use opencv::core::{Mat, Point2f, Ptr, Vector};
 use opencv::prelude::{DetectorParametersTrait, DictionaryTraitConst, MatTraitConst};
@@ -56,19 +56,36 @@ pub(super) fn nearest(name: &str) -> String {
     NAMES.iter().max_by_key(alike).map_or(String::new(), |n| format!("did you mean `{n}`?"))
 }
 
-/// All markers of a dictionary (`4x4_50` …) in a picture, their corners to a fraction of a pixel.
-pub fn markers(image: &Image<u8>, name: &str) -> Result<Vec<Marker>, Problem> {
+/// Where markers are expected to be seen.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Expected {
+    /// Part of the picture, `[left, top, right, bottom]`, px.
+    pub within: [usize; 4],
+    /// Shortest side of a marker, px.
+    pub side_px: f64,
+}
+
+/// All markers of a dictionary (`4x4_50` …) in a picture, their corners to a fraction of a pixel; those of a part of it where it
+/// is known where they are, at a fraction of the time.
+pub fn markers(image: &Image<u8>, name: &str, expected: Option<&Expected>) -> Result<Vec<Marker>, Problem> {
     let dictionary = dictionary(name)?;
-    let cells = dictionary.marker_size() + 2 * BORDER;
+    let cells = f64::from(dictionary.marker_size() + 2 * BORDER);
+    let window = |side: f64| ((0.8 * side / cells) as i32).clamp(LEAST_WINDOW, MOST_WINDOW);
+    if let Some(Expected { within: [left, top, right, bottom], side_px }) = expected.copied() {
+        let part = Image::from_fn(right - left, bottom - top, |x, y| *image.at(left + x, top + y));
+        let mut found = detect(&part, &dictionary, window(side_px))?;
+        let shift = Vector2::new(left as f64, top as f64);
+        found.iter_mut().flat_map(|m| &mut m.corners).for_each(|corner| *corner += shift);
+        return Ok(found);
+    }
     let rough = detect(image, &dictionary, MOST_WINDOW)?;
     let side =
         |m: &Marker| (0..4).map(|k| (m.corners[k] - m.corners[(k + 1) % 4]).norm()).fold(f64::MAX, f64::min);
     let smallest = rough.iter().map(side).fold(f64::MAX, f64::min);
-    let window = (0.8 * smallest / f64::from(cells)) as i32;
-    if window >= MOST_WINDOW || rough.is_empty() {
+    if rough.is_empty() || window(smallest) == MOST_WINDOW {
         return Ok(rough);
     }
-    detect(image, &dictionary, window.max(LEAST_WINDOW))
+    detect(image, &dictionary, window(smallest))
 }
 
 fn detect(image: &Image<u8>, dictionary: &Ptr<Dictionary>, window: i32) -> Result<Vec<Marker>, Problem> {
@@ -122,7 +139,7 @@ mod tests {
             let inside = (0.0..6.0).contains(&u) && (0.0..6.0).contains(&v);
             if inside && !cells[v as usize * 6 + u as usize] { 20 } else { 220 }
         });
-        let found = markers(&picture, "4x4_50").unwrap();
+        let found = markers(&picture, "4x4_50", None).unwrap();
         assert_eq!(found.len(), 1);
         let expected = [[60.0, 40.0], [120.0, 40.0], [120.0, 100.0], [60.0, 100.0]];
         for (found, [x, y]) in found[0].corners.iter().zip(expected) {
@@ -134,7 +151,7 @@ mod tests {
     #[test]
     fn unknown_dictionaries_and_numbers_are_named() {
         use crate::error::Problem as _;
-        let e = markers(&Image::from_fn(8, 8, |_, _| 0), "4x4_500").unwrap_err();
+        let e = markers(&Image::from_fn(8, 8, |_, _| 0), "4x4_500", None).unwrap_err();
         assert_eq!(
             (e.to_string(), e.hint()),
             ("there is no dictionary of markers `4x4_500`".into(), "did you mean `4x4_50`?".into())
