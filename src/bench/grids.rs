@@ -195,7 +195,7 @@ fn lens_row(name: &str, lens: &Intrinsics, rms_px: f64, known: &Known, ms: &[f64
 }
 
 fn markers(file: &Path, printer: &Printer) -> Result<()> {
-    let found = vision::markers(&grey_of(&decode(file)?), "6x6_250").doing("finding markers")?;
+    let found = vision::markers(&grey_of(&decode(file)?), "6x6_250", None).doing("finding markers")?;
     let mut off: Vec<f64> = Vec::new();
     for (id, corners) in LISTED {
         let Some(marker) = found.iter().find(|m| m.id == id) else {

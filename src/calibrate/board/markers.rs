@@ -65,7 +65,7 @@ pub(super) fn aruco(image: &Image<u8>, grid: &ArucoGrid) -> Result<BoardView, Pr
     let places: Places =
         (0..columns * rows).map(|k| (first_id + k as u32, square(centre(k), side_m))).collect();
     let mut view = BoardView { board: Vec::new(), pixels: Vec::new() };
-    for (board, marker) in known(&vision::markers(image, &grid.dictionary)?, &places) {
+    for (board, marker) in known(&vision::markers(image, &grid.dictionary, None)?, &places) {
         view.board.extend(board);
         view.pixels.extend(marker.corners);
     }
@@ -90,7 +90,7 @@ pub(super) fn charuco(
 ) -> Result<BoardView, Problem> {
     let (side, marker_side) = (settings.square_m, grid.marker_m);
     let places = charuco_places(grid, settings);
-    let seen = vision::markers(image, &grid.dictionary)?;
+    let seen = vision::markers(image, &grid.dictionary, None)?;
     let seen = known(&seen, &places);
     // Where a corner should be by the markers at it.
     let beside = 0.75 * side;
