@@ -93,7 +93,7 @@ fn worst(camera: &Camera) -> Result<f64> {
             Error::file(
                 "opening a scene in Blender",
                 &file("scene.glb"),
-                &format!("gave no result; it said: {last}"),
+                format!("gave no result; it said: {last}"),
                 "run Blender by hand",
             )
         })?;

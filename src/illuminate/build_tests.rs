@@ -63,16 +63,16 @@ fn white_furnace_gives_each_surface_its_reflectance() {
         let mesh = &built.light.mesh;
         for i in (0..mesh.patches.len()).filter(|i| mesh.patches[*i].face >= 6) {
             let patch = &mesh.patches[i];
-            for k in 0..3 {
-                let e = built.irradiance[i][k] / (std::f32::consts::PI * around[k]);
+            for (e, l) in built.irradiance[i].into_iter().zip(around) {
+                let e = e / (std::f32::consts::PI * l);
                 assert!((e - 1.0).abs() < 1e-3, "irradiance of patch {i}: {e}");
             }
             // At the outline texels show box and room.
             let whole = patch.evidence == Evidence::Probe && (patch.radiance[0] / own[0] - 1.0).abs() < 1e-6;
             if whole {
                 sides.insert(patch.face);
-                for k in 0..3 {
-                    let r = patch.reflectance[k] / rho[k];
+                for (r, rho) in patch.reflectance.into_iter().zip(rho) {
+                    let r = r / rho;
                     assert!((r - 1.0).abs() < 1e-3, "reflectance of patch {i}: {r}");
                 }
             }

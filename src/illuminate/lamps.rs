@@ -58,7 +58,7 @@ pub(super) fn strongest(
         .filter_map(|(primitive, image)| {
             let seen = seen(env, &image, &probe_blur)?;
             let bright = bright(&seen.radiance);
-            (bright > f64::from(SHINES) * mean).then(|| (primitive, seen, image.solid_angle * bright))
+            (bright > f64::from(SHINES) * mean).then_some((primitive, seen, image.solid_angle * bright))
         })
         .collect();
     if bright_ones.is_empty() {

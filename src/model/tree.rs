@@ -123,8 +123,7 @@ impl<'a> Tree<'a> {
         let mut affected: Vec<Vec<usize>> = Vec::with_capacity(nodes.len());
         for i in 0..nodes.len() {
             let mut hit = vec![i];
-            for j in i + 1..nodes.len() {
-                let node = &nodes[j];
+            for (j, node) in nodes.iter().enumerate().skip(i + 1) {
                 let tied = node.parameters.iter().filter_map(|p| match p {
                     Parameter::Same(other, _) => Some(*other),
                     _ => None,
@@ -223,14 +222,14 @@ impl<'a> Tree<'a> {
         Some(rows)
     }
 
-    /// For each primitive its residuals and their derivatives: (residuals, columns, derivatives by these columns).
+    /// For each primitive its residuals and their derivatives by the parameters that it depends on.
     fn blocks(&self, x: &DVector<f64>) -> Option<Vec<(Vec<f64>, DMatrix<f64>)>> {
         let mut values = self.values(x.as_slice());
         let mut placed = self.place(&values).ok()?;
         let mut blocks = Vec::with_capacity(self.nodes.len());
-        for i in 0..self.nodes.len() {
-            let rows = self.rows(i, &values, &placed[i])?;
-            let derivatives = DMatrix::zeros(rows.len(), self.depends[i].len());
+        for (i, (placed, columns)) in placed.iter().zip(&self.depends).enumerate() {
+            let rows = self.rows(i, &values, placed)?;
+            let derivatives = DMatrix::zeros(rows.len(), columns.len());
             blocks.push((rows, derivatives));
         }
         let mut filled = vec![0; self.nodes.len()];
