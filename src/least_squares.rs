@@ -115,7 +115,7 @@ pub enum Problem {
     /// Directions in parameter space do not change the residuals.
     #[error("the data do not determine {} (condition number {condition:.1e})", listed(parameters))]
     Undetermined {
-        /// The parameters that take part in such a direction, those with the largest part first.
+        /// The parameters that take part in such a direction.
         parameters: Vec<String>,
         /// Condition number of the scaled Jacobian.
         condition: f64,
@@ -144,6 +144,8 @@ fn listed(names: &[String]) -> String {
     }
 }
 
+/// Condition numbers from here on are rounding.
+const MEANS_NOTHING: f64 = 1e10;
 /// A parameter takes part in an undetermined direction from this share of the largest part on.
 const PART: f64 = 0.2;
 
@@ -254,11 +256,10 @@ pub(crate) fn determined(
     let part = |k: usize| columns.iter().map(|&c| eigen.eigenvectors[(k, c)].powi(2)).sum::<f64>();
     let parts: Vec<f64> = (0..n).map(|k| part(k).sqrt()).collect();
     let largest = parts.iter().copied().fold(0.0, f64::max);
-    let mut taking: Vec<usize> = (0..n).filter(|&k| parts[k] >= PART * largest).collect();
-    // To a tenth, so that rounding does not decide their order.
-    let tenths = |k: usize| (10.0 * parts[k] / largest).round();
-    taking.sort_by(|&a, &b| tenths(b).total_cmp(&tenths(a)));
-    Err(Problem::Undetermined { parameters: taking.into_iter().map(name).collect(), condition })
+    let taking = (0..n).filter(|&k| parts[k] >= PART * largest);
+    // Rounding alone makes it finite.
+    let condition = if condition < MEANS_NOTHING { condition } else { f64::INFINITY };
+    Err(Problem::Undetermined { parameters: taking.map(name).collect(), condition })
 }
 
 fn rms(r: &DVector<f64>) -> f64 {

@@ -91,8 +91,8 @@ mod tests {
         fn a_lobe_is_reciprocal_and_keeps_its_energy(
             (v, w) in (vec(-1.0..1.0), vec(-1.0..1.0)), k in 0.0..1.0f32, n in 0.0..200.0f32,
         ) {
-            prop_assume!(v.y > 0.05 && w.y > 0.05);
-            let (v, w) = (v.normalize(), w.normalize());
+            let above = |v: Vec3| Vec3::new(v.x, v.y.abs().max(0.05), v.z).normalize();
+            let (v, w) = (above(v), above(w));
             let gloss = Gloss { specular: [k; 3], shininess: n };
             let lobe = |eye: Vec3| Lobe::new(&gloss, [0.5; 3], Vec3::ZERO, Vec3::Y, eye);
             let Some(there) = lobe(v * 3.0) else { return Ok(()) };

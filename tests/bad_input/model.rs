@@ -131,7 +131,7 @@ marks = [{ corner = "---", image = "plate_000.jpg", at = [39.5, 303.5] }]
             )],
             "model",
             1,
-            "fitting the scene to annotations.toml: the data do not determine the height of `box`, the place in x of `box`, the depth of `box`, the place in z of `box` and the width of `box` (condition number #)",
+            "fitting the scene to annotations.toml: the data do not determine the place in x of `box`, the place in z of `box`, the width of `box`, the height of `box` and the depth of `box` (condition number inf)",
             "add marks that determine it, or give its value",
         ),
         case(
