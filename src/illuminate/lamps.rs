@@ -38,9 +38,9 @@ pub(super) struct Lamp {
     pub offset: Vec3,
 }
 
-/// Of the small lamps that the environment shows the one that sends most. One by one, since what stands beside a lamp shows its light, too, until that is known. `primitives` has each face's
-/// primitive, `known` faces are left alone, and `probe_blur` is the angular standard deviation with which the probe shows a point,
-/// rad.
+/// Of the small lamps that the environment shows the one that sends most. One by one, since what stands beside a lamp shows
+/// its light, too, until that is known. `primitives` has each face's primitive, `known` faces are left alone, and `probe_blur`
+/// is the angular standard deviation with which the probe shows a point, rad.
 pub(super) fn strongest(
     mesh: &PatchMesh,
     bvh: &Bvh,

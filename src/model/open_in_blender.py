@@ -51,12 +51,11 @@ def open_scene(path):
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.ops.import_scene.gltf(filepath=path)
     cameras = [o for o in bpy.data.objects if o.type == "CAMERA" and "size_px" in o]
-    for camera in reversed(cameras):
+    # The last one fitted is the scene's.
+    for camera in sorted(cameras, key=lambda c: c["is_plate"]):
         fit(bpy.context.scene, camera)
         if "picture" in camera:
             behind(camera)
-    plate = next((c for c in cameras if c.get("is_plate")), cameras[0])
-    fit(bpy.context.scene, plate)
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == "VIEW_3D":

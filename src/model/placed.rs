@@ -112,7 +112,7 @@ impl Solid {
         Some(if clockwise { (b, a) } else { (a, b) })
     }
 
-    /// Where a thing that stands or hangs on it begins: the middle of the face and its height.
+    /// Height in the world of the face on which a thing stands, or under which it hangs, m; none where it is aslant or has no such face.
     fn carrier(&self, attach: &str) -> Option<f64> {
         let bottom = self.frame.translation.y;
         self.yaw()?;
