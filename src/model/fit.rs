@@ -28,7 +28,7 @@ pub struct Fitter<'a> {
 }
 
 impl<'a> Fitter<'a> {
-    /// Fits the scene for the first time.
+    /// The scene as each primitive's own marks have it; [`Self::scene`] fits it.
     pub fn new(
         primitives: &'a [Primitive],
         views: &Views<'a>,
@@ -37,9 +37,7 @@ impl<'a> Fitter<'a> {
         let tree = Tree::new(primitives, views, settings.mark_sigma_px)?;
         let values = first_guess(&tree)?;
         let x = DVector::from_vec(tree.free_of(&values));
-        let mut fitter = Self { tree, views: *views, settings, x };
-        fitter.x = fitter.solved(&values)?.parameters;
-        Ok(fitter)
+        Ok(Self { tree, views: *views, settings, x })
     }
 
     /// How many parameters are fitted.
@@ -82,10 +80,11 @@ impl<'a> Fitter<'a> {
         true
     }
 
-    /// The scene as it stands, with standard deviations.
-    pub fn scene(&self) -> Result<Scene, Problem> {
+    /// The scene fitted to the marks as they stand, with standard deviations.
+    pub fn scene(&mut self) -> Result<Scene, Problem> {
+        let fit = self.solved(&self.tree.values(self.x.as_slice()))?;
+        self.x = fit.parameters.clone();
         let tree = &self.tree;
-        let fit = self.solved(&tree.values(self.x.as_slice()))?;
         let values = tree.values(fit.parameters.as_slice());
         self.check_agreement(&values)?;
         let sigma = |i: usize, k: usize| {
