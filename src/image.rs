@@ -77,6 +77,11 @@ impl<P> Image<P> {
     }
 
     /// All pixels, row by row.
+    pub fn into_pixels(self) -> Vec<P> {
+        self.pixels
+    }
+
+    /// All pixels, row by row.
     pub fn pixels_mut(&mut self) -> &mut [P] {
         &mut self.pixels
     }

@@ -21,7 +21,7 @@ pub use header::{Header, header_digest};
 pub use problem::{Problem, role_name};
 pub use raw::is_readable;
 pub use roles::{Assignment, assign, derive, glob, list, listing_digest};
-pub use rows::{Room, Rows, Samples, Spooled, Stored};
+pub use rows::{Room, Rows, Samples, Spooled, Stored, Strip};
 pub use views::Thumbnail;
 
 use crate::artefact::json::JsonArtefact;

@@ -1,6 +1,7 @@
 //! Codes of a photograph a band of rows at a time, so that what uses them need not hold them all.
 
 use crate::image::{Code, CodeImage, Image};
+use std::borrow::Cow;
 use std::fs::File;
 use std::io::{Result, Write};
 use std::ops::Range;
@@ -12,8 +13,14 @@ pub trait Rows: Sync {
     /// `(width, height)`, px.
     fn size(&self) -> (usize, usize);
 
-    /// The rows of a range, which lies within the picture.
-    fn rows(&self, range: Range<usize>) -> Result<CodeImage>;
+    /// The rows of a range, which lies within the picture, as they are held.
+    fn strip(&self, range: Range<usize>) -> Result<Strip<'_>>;
+
+    /// The same as codes.
+    fn rows(&self, range: Range<usize>) -> Result<CodeImage> {
+        let height = range.len();
+        Ok(Image::from_pixels(self.size().0, height, self.strip(range)?.codes()))
+    }
 
     /// Bits of a stored code, which tell how coarsely it is rounded.
     fn bits(&self) -> u32 {
@@ -21,15 +28,52 @@ pub trait Rows: Sync {
     }
 }
 
+/// Rows of a photograph as they are held: red, green, blue of each pixel.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Strip<'a> {
+    /// Of at most 8 bits.
+    Eight(Cow<'a, [u8]>),
+    /// Of more.
+    Sixteen(Cow<'a, [u16]>),
+    /// Codes, not of a number where the photograph does not reach.
+    Codes(Cow<'a, [Code]>),
+}
+
+impl Strip<'_> {
+    /// One channel of the `i`-th pixel.
+    pub fn code(&self, i: usize, channel: usize) -> f32 {
+        match self {
+            Self::Eight(s) => of_eight(s[3 * i + channel]),
+            Self::Sixteen(s) => of_sixteen(s[3 * i + channel]),
+            Self::Codes(s) => s[i].0[channel],
+        }
+    }
+
+    fn codes(self) -> Vec<Code> {
+        match self {
+            Self::Eight(s) => s.chunks_exact(3).map(|c| Code([c[0], c[1], c[2]].map(of_eight))).collect(),
+            Self::Sixteen(s) => s.chunks_exact(3).map(|c| Code([c[0], c[1], c[2]].map(of_sixteen))).collect(),
+            Self::Codes(s) => s.into_owned(),
+        }
+    }
+}
+
+fn of_eight(sample: u8) -> f32 {
+    f32::from(sample) / 255.0
+}
+
+fn of_sixteen(sample: u16) -> f32 {
+    f32::from(sample) / 65535.0
+}
+
 impl Rows for CodeImage {
     fn size(&self) -> (usize, usize) {
         CodeImage::size(self)
     }
 
-    fn rows(&self, range: Range<usize>) -> Result<CodeImage> {
+    fn strip(&self, range: Range<usize>) -> Result<Strip<'_>> {
         let width = self.width();
-        let pixels = self.pixels()[range.start * width..range.end * width].to_vec();
-        Ok(Image::from_pixels(width, range.len(), pixels))
+        Ok(Strip::Codes(self.pixels()[range.start * width..range.end * width].into()))
     }
 }
 
@@ -53,22 +97,16 @@ pub struct Stored {
     pub samples: Samples,
 }
 
-fn pixels(width: usize, codes: impl Iterator<Item = f32>) -> CodeImage {
-    let codes: Vec<f32> = codes.collect();
-    let pixels: Vec<Code> = codes.chunks_exact(3).map(|c| Code([c[0], c[1], c[2]])).collect();
-    Image::from_pixels(width, pixels.len() / width.max(1), pixels)
-}
-
 impl Rows for Stored {
     fn size(&self) -> (usize, usize) {
         (self.width, self.height)
     }
 
-    fn rows(&self, range: Range<usize>) -> Result<CodeImage> {
+    fn strip(&self, range: Range<usize>) -> Result<Strip<'_>> {
         let part = range.start * self.width * 3..range.end * self.width * 3;
         Ok(match &self.samples {
-            Samples::Eight(s) => pixels(self.width, s[part].iter().map(|v| f32::from(*v) / 255.0)),
-            Samples::Sixteen(s) => pixels(self.width, s[part].iter().map(|v| f32::from(*v) / 65535.0)),
+            Samples::Eight(s) => Strip::Eight(s[part].into()),
+            Samples::Sixteen(s) => Strip::Sixteen(s[part].into()),
         })
     }
 
@@ -133,15 +171,17 @@ impl Rows for Spooled {
         (self.width, self.height)
     }
 
-    fn rows(&self, range: Range<usize>) -> Result<CodeImage> {
-        let row = self.width * 3 * self.bytes;
-        let mut bytes = vec![0; range.len() * row];
-        self.file.read_exact_at(&mut bytes, (range.start * row) as u64)?;
+    fn strip(&self, range: Range<usize>) -> Result<Strip<'_>> {
+        let row = self.width * 3;
+        let (samples, offset) = (range.len() * row, (range.start * row * self.bytes) as u64);
         Ok(if self.bytes == 1 {
-            pixels(self.width, bytes.iter().map(|v| f32::from(*v) / 255.0))
+            let mut bytes = vec![0; samples];
+            self.file.read_exact_at(&mut bytes, offset)?;
+            Strip::Eight(bytes.into())
         } else {
-            let words = bytes.chunks_exact(2).map(|b| u16::from_ne_bytes([b[0], b[1]]));
-            pixels(self.width, words.map(|v| f32::from(v) / 65535.0))
+            let mut words = vec![0_u16; samples];
+            self.file.read_exact_at(bytemuck::cast_slice_mut(&mut words), offset)?;
+            Strip::Sixteen(words.into())
         })
     }
 

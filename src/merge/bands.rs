@@ -1,14 +1,14 @@
 //! Merging a band of rows at a time.
 
-use super::estimate::{Estimate, Reading, Told, estimate, inconsistent, overexpose};
+use super::estimate::{Estimate, RUN, Run, Told};
 use super::ghosts;
 use super::noise::{Noise, Sensor};
 use super::order::by_exposure;
 use super::residuals::Residuals;
 use super::{Merged, Problem};
 use crate::config;
-use crate::exposure::Frame;
-use crate::image::{CodeImage, Image, Radiance};
+use crate::exposure::{Frame, Strip};
+use crate::image::{Image, Radiance};
 use crate::response::{LEVELS, Response, Vignetting};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -72,7 +72,7 @@ pub fn merge_in_bands<E: From<Problem>>(
     // Radiance at which each frame has relative exposure 1.
     let units: Vec<f32> = frames.iter().map(|f| (plate_exposure / f.exposure) as f32).collect();
     let view = View {
-        readings: units.iter().enumerate().map(|(i, unit)| Readings::new(&noise, i, *unit)).collect(),
+        told: units.iter().map(|unit| AtCodes::new(&noise, *unit)).collect(),
         noise,
         units,
         size: (width, height),
@@ -117,31 +117,32 @@ struct View<'a> {
     order: Vec<usize>,
     noise: Noise<'a>,
     units: Vec<f32>,
-    readings: Vec<Readings>,
+    told: Vec<AtCodes>,
     size: (usize, usize),
     vignetting: Option<&'a Vignetting>,
     deghost: bool,
 }
 
-/// What a frame says at each code of 8 bits, since most codes are such; without what all readings of the frame share, so that the
-/// tables of many frames stay in the processor's caches.
-struct Readings {
-    frame: usize,
-    channels: [Vec<Told>; 3],
+/// What a frame says at each code of 8 bits, since most codes are such.
+struct AtCodes {
+    unit: f32,
+    channels: [Box<[Told; LEVELS]>; 3],
 }
 
-impl Readings {
-    fn new(noise: &Noise, frame: usize, unit: f32) -> Self {
-        let table =
-            |channel| CODES.iter().map(|code| noise.read(frame, channel, *code, unit).told()).collect();
-        Self { frame, channels: [0, 1, 2].map(table) }
+impl AtCodes {
+    fn new(noise: &Noise, unit: f32) -> Self {
+        let table = |channel| Box::new(CODES.map(|code| noise.told(channel, code, unit)));
+        Self { unit, channels: [0, 1, 2].map(table) }
     }
 
-    fn of(&self, noise: &Noise, channel: usize, code: f32, unit: f32) -> Reading {
+    fn of(&self, noise: &Noise, channel: usize, code: f32) -> Told {
         let z = ((code * (LEVELS - 1) as f32 + 0.5) as usize).min(LEVELS - 1);
-        match CODES[z] == code {
-            true => Reading::of(self.frame, unit, &self.channels[channel][z]),
-            false => noise.read(self.frame, channel, code, unit),
+        if code.is_nan() {
+            Told::NOTHING
+        } else if CODES[z] == code {
+            self.channels[channel][z]
+        } else {
+            noise.told(channel, code, self.unit)
         }
     }
 }
@@ -154,94 +155,135 @@ impl View<'_> {
     fn band(&self, rows: Range<usize>) -> Result<(Band, Counts), Problem> {
         let margin = if self.deghost { ghosts::MARGIN } else { 0 };
         let wider = rows.start.saturating_sub(margin)..(rows.end + margin).min(self.size.1);
-        let read = |f: &Frame| f.codes.rows(wider.clone());
-        let codes = self.frames.iter().map(read).collect::<Result<Vec<CodeImage>, _>>()?;
+        let strips = self.frames.iter().map(|f| f.codes.strip(wider.clone()));
+        let strips = strips.collect::<Result<Vec<Strip>, _>>()?;
         let (width, all) = (self.size.0, wider.len() * self.size.0);
-        let mut readings = Vec::new();
-        let mut seen = Vec::with_capacity(all);
-        let mut estimates = Vec::with_capacity(all);
-        for i in 0..all {
-            let (mut bits, mut pixel) = (0, [Estimate::default(); 3]);
-            for (channel, estimated) in pixel.iter_mut().enumerate() {
-                self.read(&codes, i, channel, 0, &mut readings);
-                *estimated = estimate(&readings, &self.noise, channel);
+        let mut run = Run::new(&self.noise, &self.units);
+        let mut estimates = vec![[Estimate::default(); 3]; all];
+        let mut seen = vec![0; if self.deghost { all } else { 0 }];
+        for first in (0..all).step_by(RUN) {
+            let pixels = first..(first + RUN).min(all);
+            let indices: Vec<usize> = pixels.clone().collect();
+            for channel in 0..3 {
+                self.read(&mut run, &strips, channel, &indices);
+                run.estimate(channel);
+                for (p, estimated) in estimates[pixels.clone()].iter_mut().enumerate() {
+                    estimated[channel] = run.at(p, channel);
+                }
                 if self.deghost {
-                    bits |= inconsistent(&readings, &self.noise, channel, estimated.radiance);
+                    let suspect = run.suspect(channel);
+                    let seen = seen[pixels.clone()].iter_mut().zip(suspect).enumerate();
+                    seen.filter(|(_, (_, s))| *s)
+                        .for_each(|(p, (bits, _))| *bits |= run.inconsistent(p, channel));
                 }
             }
-            seen.push(bits);
-            estimates.push(pixel);
         }
-        let left_out = ghosts::mask(&Image::from_pixels(width, wider.len(), seen));
         let inner = (rows.start - wider.start) * width..(rows.end - wider.start) * width;
-        let mut counts = Counts::new(self.frames.len(), width, rows.clone());
-        let mut merged = Merged {
-            radiance: Image::from_fn(width, rows.len(), |_, _| Radiance::default()),
-            variance: Image::from_fn(width, rows.len(), |_, _| [0.0; 3]),
-            clipped: Image::from_fn(width, rows.len(), |_, _| false),
+        let left_out = if seen.iter().any(|bits| *bits != 0) {
+            let wanted = ghosts::mask(&Image::from_pixels(width, wider.len(), seen)).into_pixels();
+            self.leave_out(&mut run, &strips, &wanted[inner.clone()], inner.start, &mut estimates)
+        } else {
+            vec![0; inner.len()]
         };
-        let mut stays_out = Vec::with_capacity(inner.len());
-        for (to, i) in inner.enumerate() {
-            let without = self.left_out(&codes, i, left_out.pixels()[i], &mut readings);
-            let (x, y) = (to % width, rows.start + to / width);
-            let fall_off = self.vignetting.map(|v| v.of_pixel(x, y, self.size));
-            for (channel, estimated) in estimates[i].iter_mut().enumerate() {
-                if without != 0 {
-                    self.read(&codes, i, channel, without, &mut readings);
-                    *estimated = estimate(&readings, &self.noise, channel);
-                }
-                let estimated = fall_off.map_or(*estimated, |f| estimated.through(f));
-                merged.radiance.pixels_mut()[to].0[channel] = estimated.radiance;
-                merged.variance.pixels_mut()[to][channel] = estimated.variance;
-                merged.clipped.pixels_mut()[to] |= estimated.clipped;
-            }
-            counts.pixel(self, &codes, (x, y), i, &estimates[i], without);
-            stays_out.push(without);
-        }
-        let left_out = stays_out.into_iter().map(|bits| self.as_given(bits)).collect();
-        let left_out = Image::from_pixels(width, rows.len(), left_out);
-        Ok((Band { top: rows.start, merged, left_out }, counts))
+        Ok(self.finish(&strips, rows, inner, &estimates, left_out))
     }
 
-    /// Of the frames that a pixel's surroundings want left out: none where all others are saturated and these say that
-    /// there is more, which agrees. Around a small light JPEG rings in frames that are black otherwise.
-    fn left_out(&self, codes: &[CodeImage], i: usize, wanted: u64, readings: &mut Vec<Reading>) -> u64 {
-        let mut estimated = |channel, without| {
-            self.read(codes, i, channel, without, readings);
-            estimate(readings, &self.noise, channel)
+    /// Estimates pixels again without the frames that their surroundings want left out, and says which those are. None where
+    /// all others are saturated and these say that there is more, which agrees: around a small light JPEG rings in frames
+    /// that are black otherwise.
+    fn leave_out(
+        &self,
+        run: &mut Run,
+        strips: &[Strip],
+        wanted: &[u64],
+        first: usize,
+        estimates: &mut [[Estimate; 3]],
+    ) -> Vec<u64> {
+        let mut left_out = wanted.to_vec();
+        let with_ghosts: Vec<usize> =
+            (first..first + wanted.len()).filter(|i| wanted[i - first] != 0).collect();
+        for pixels in with_ghosts.chunks(RUN) {
+            let mut without = [[Estimate::default(); 3]; RUN];
+            for channel in 0..3 {
+                self.read(run, strips, channel, pixels);
+                pixels.iter().enumerate().for_each(|(p, i)| run.leave_out(p, wanted[i - first]));
+                run.estimate(channel);
+                (0..pixels.len()).for_each(|p| without[p][channel] = run.at(p, channel));
+            }
+            for (i, without) in pixels.iter().zip(without) {
+                let all = &mut estimates[*i];
+                let agrees = |(rest, all): (&Estimate, &Estimate)| {
+                    rest.clipped && !all.clipped && all.radiance > rest.radiance
+                };
+                if without.iter().zip(all.iter()).any(agrees) {
+                    left_out[i - first] = 0;
+                } else {
+                    *all = without;
+                }
+            }
+        }
+        left_out
+    }
+
+    /// The band of what was estimated, `inner` of it, seen before the lens.
+    fn finish(
+        &self,
+        strips: &[Strip],
+        rows: Range<usize>,
+        inner: Range<usize>,
+        estimates: &[[Estimate; 3]],
+        left_out: Vec<u64>,
+    ) -> (Band, Counts) {
+        let width = self.size.0;
+        let mut counts = Counts::new(self.frames.len(), width, rows.clone());
+        let mut merged = Merged {
+            radiance: Image::filled(width, rows.len(), Radiance::default()),
+            variance: Image::filled(width, rows.len(), [0.0; 3]),
+            clipped: Image::filled(width, rows.len(), false),
         };
-        let agree = wanted != 0
-            && (0..3).any(|channel| {
-                let (rest, all) = (estimated(channel, wanted), estimated(channel, 0));
-                rest.clipped && !all.clipped && all.radiance > rest.radiance
-            });
-        if agree { 0 } else { wanted }
+        let Merged { radiance, variance, clipped } = &mut merged;
+        let (radiance, variance, clipped) =
+            (radiance.pixels_mut(), variance.pixels_mut(), clipped.pixels_mut());
+        for (to, (i, without)) in inner.zip(&left_out).enumerate() {
+            let (x, y) = (to % width, rows.start + to / width);
+            let fall_off = self.vignetting.map(|v| v.of_pixel(x, y, self.size));
+            for (channel, estimated) in estimates[i].iter().enumerate() {
+                let estimated = fall_off.map_or(*estimated, |f| estimated.through(f));
+                radiance[to].0[channel] = estimated.radiance;
+                variance[to][channel] = estimated.variance;
+                clipped[to] |= estimated.clipped;
+            }
+            counts.pixel(self, strips, (x, y), i, &estimates[i], *without);
+        }
+        let left_out = left_out.into_iter().map(|bits| self.as_given(bits)).collect();
+        let left_out = Image::from_pixels(width, rows.len(), left_out);
+        (Band { top: rows.start, merged, left_out }, counts)
     }
 
     /// Bits of frames in the order in which they were given.
     fn as_given(&self, bits: u64) -> u64 {
+        if bits == 0 {
+            return 0;
+        }
         let set =
             self.order.iter().take(64).enumerate().filter(|(i, given)| bits & 1 << i != 0 && **given < 64);
         set.fold(0, |bits, (_, given)| bits | 1 << given)
     }
 
-    /// What all frames but some say of a channel of pixel `i`; where all would be left out, all stay.
-    fn read(&self, codes: &[CodeImage], i: usize, channel: usize, without: u64, readings: &mut Vec<Reading>) {
-        readings.clear();
-        let kept = |frame: usize| frame >= 64 || without & 1 << frame == 0;
-        for pass in 0..2 {
-            for (frame, (codes, unit)) in codes.iter().zip(&self.units).enumerate() {
-                let code = codes.pixels()[i].0[channel];
-                // A frame that was moved does not reach everywhere.
-                if !code.is_nan() && (pass == 1 || kept(frame)) {
-                    readings.push(self.readings[frame].of(&self.noise, channel, code, *unit));
+    /// What all frames say of a channel of some pixels.
+    fn read(&self, run: &mut Run, strips: &[Strip], channel: usize, pixels: &[usize]) {
+        for (frame, (strip, told)) in strips.iter().zip(&self.told).enumerate() {
+            match strip {
+                Strip::Eight(samples) => {
+                    let (samples, table) = (&samples[channel..], &*told.channels[channel]);
+                    run.put(frame, pixels.iter().map(|i| table[usize::from(samples[3 * i])]));
+                }
+                _ => {
+                    let code = |i: &usize| told.of(&self.noise, channel, strip.code(*i, channel));
+                    run.put(frame, pixels.iter().map(code));
                 }
             }
-            if !readings.is_empty() {
-                break;
-            }
         }
-        overexpose(readings, &self.noise, channel);
     }
 }
 
@@ -277,11 +319,11 @@ impl Counts {
         Self { pixels: 0, sampled: 0, clipped: 0, errors, frames, residuals }
     }
 
-    /// Of the pixel at a place of the view, the `i`-th of the codes.
+    /// Of the pixel at a place of the view, the `i`-th of the strips.
     fn pixel(
         &mut self,
         view: &View,
-        codes: &[CodeImage],
+        strips: &[Strip],
         (x, y): (usize, usize),
         i: usize,
         estimates: &[Estimate; 3],
@@ -294,8 +336,10 @@ impl Counts {
         if !clipped && green.radiance > 0.0 {
             self.errors[step(f64::from(green.variance.sqrt() / green.radiance), ERROR_STEP)] += 1;
         }
-        for (frame, counts) in self.frames.iter_mut().enumerate() {
-            counts.left_out += usize::from(frame < 64 && without & 1 << frame != 0);
+        if without != 0 {
+            for (frame, counts) in self.frames.iter_mut().enumerate().take(64) {
+                counts.left_out += usize::from(without & 1 << frame != 0);
+            }
         }
         // Some of the pixels tell of each frame.
         if !i.is_multiple_of(self.residuals.stride()) {
@@ -303,13 +347,12 @@ impl Counts {
         }
         self.sampled += 1;
         for (frame, counts) in self.frames.iter_mut().enumerate() {
-            let code = codes[frame].pixels()[i].0;
-            counts.clipped += usize::from((0..3).any(|c| view.noise.is_clipped(c, code[c])));
+            let strip = &strips[frame];
+            counts.clipped += usize::from((0..3).any(|c| view.noise.is_clipped(c, strip.code(i, c))));
             // Green alone: it has the least noise and is the same in JPEG's subsampled colour.
-            if (0.2..0.9).contains(&code[1]) && green.radiance > 0.0 {
-                let read = view.readings[frame].of(&view.noise, 1, code[1], view.units[frame]);
-                let says = read.exposure * read.unit;
-                let stops = (says / green.radiance).log2();
+            let code = strip.code(i, 1);
+            if (0.2..0.9).contains(&code) && green.radiance > 0.0 {
+                let stops = (view.told[frame].of(&view.noise, 1, code).says / green.radiance).log2();
                 counts.residuals[step(f64::from(stops.abs()), RESIDUAL_STEP)] += 1;
                 self.residuals.put(frame, x, y, stops);
             }

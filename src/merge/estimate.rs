@@ -1,62 +1,73 @@
-//! One channel of one pixel from what the frames read there.
+//! One channel of a run of pixels from what the frames read there: frame by frame, all pixels of the run side by side, so that
+//! the processor's vectors hold them.
 
 use super::noise::Noise;
 
+/// Pixels of a run. What ten frames say of them fits into the cache next to the processor.
+pub(super) const RUN: usize = 64;
+
+/// A number for each pixel of a run.
+pub(super) type Lane = [f32; RUN];
+
 /// What one frame says of a pixel's channel.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Reading {
-    /// Which frame.
-    pub frame: usize,
-    /// Relative exposure.
-    pub exposure: f32,
-    /// Radiance at which this frame has relative exposure 1, and its inverse.
-    pub unit: f32,
-    per_unit: f32,
-    /// Radiance that it says, its variance, and the inverse of that.
-    says: f32,
-    variance: f32,
+pub(super) struct Told {
+    /// Radiance that it says.
+    pub says: f32,
+    /// Inverse of its variance; 0 where it says nothing, being clipped, dark or not there.
     weight: f32,
-    pub clipped: bool,
-    /// At or below the black level.
-    pub dark: bool,
+    /// Radiance that there surely is: +∞ where it is clipped, −∞ at or below the black level, no number where the frame does not
+    /// reach.
+    least: f32,
 }
 
-impl Reading {
-    /// `variance`: of the relative exposure.
-    pub fn new(frame: usize, exposure: f32, variance: f32, unit: f32, [clipped, dark]: [bool; 2]) -> Self {
-        let (says, per_unit, variance) = (exposure * unit, 1.0 / unit, variance * unit * unit);
-        Self { frame, exposure, unit, per_unit, says, variance, weight: 1.0 / variance, clipped, dark }
+impl Told {
+    /// Of a frame that was moved, where it does not reach.
+    pub const NOTHING: Self = Self { says: 0.0, weight: 0.0, least: f32::NAN };
+
+    /// `exposure`: relative one, with its variance. `unit`: radiance at which this frame has relative exposure 1.
+    pub fn new(exposure: f32, variance: f32, unit: f32, [clipped, dark]: [bool; 2]) -> Self {
+        let (says, variance) = (exposure * unit, variance * unit * unit);
+        let (weight, least) = match (clipped, dark) {
+            (true, _) => (0.0, f32::INFINITY),
+            (_, true) => (0.0, f32::NEG_INFINITY),
+            _ => (1.0 / variance, says - SURE * variance.sqrt()),
+        };
+        Self { says, weight, least }
     }
 
-    /// Of what a frame says at a code.
-    pub fn of(frame: usize, unit: f32, told: &Told) -> Self {
-        let Told { exposure, says, variance, weight, clipped, dark } = *told;
-        Self { frame, exposure, unit, per_unit: 1.0 / unit, says, variance, weight, clipped, dark }
+    fn is_there(&self) -> bool {
+        !self.least.is_nan()
     }
 
-    /// Without what all readings of its frame share.
-    pub fn told(&self) -> Told {
-        let Self { exposure, says, variance, weight, clipped, dark, .. } = *self;
-        Told { exposure, says, variance, weight, clipped, dark }
+    fn is_clipped(&self) -> bool {
+        self.least == f32::INFINITY
+    }
+
+    fn is_dark(&self) -> bool {
+        self.least == f32::NEG_INFINITY
     }
 
     fn tells(&self) -> bool {
-        !self.clipped && !self.dark
+        self.weight > 0.0
     }
 }
 
-/// A [`Reading`] but for its frame.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Told {
-    exposure: f32,
-    says: f32,
-    variance: f32,
-    weight: f32,
-    clipped: bool,
-    dark: bool,
+/// One frame's [`Told`] of each pixel.
+#[derive(Clone)]
+struct Lanes {
+    says: Lane,
+    weight: Lane,
+    least: Lane,
 }
 
-#[derive(Debug, Clone, Copy, Default)]
+impl Lanes {
+    fn at(&self, p: usize) -> Told {
+        Told { says: self.says[p], weight: self.weight[p], least: self.least[p] }
+    }
+}
+
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Estimate {
     pub radiance: f32,
     pub variance: f32,
@@ -84,106 +95,219 @@ const UNTOLD: f32 = 0.03;
 /// clipped or dark.
 const FAR: f32 = 0.5;
 
-/// Marks readings as clipped that a shorter exposure shows to be out of range: JPEG's coarse colour lets the code of a
-/// clipped channel stray below the clipping level beside a small, strong light.
-pub(super) fn overexpose(readings: &mut [Reading], model: &Noise, channel: usize) {
-    let (_, high) = model.range(channel);
-    for i in 0..readings.len() {
-        let Reading { exposure, unit, clipped, .. } = readings[i];
-        let beyond = |s: &Reading| {
-            let surely = |over: f32| over > 0.0 && over * over > SURE * SURE * s.variance;
-            s.unit > unit && (s.clipped || !s.dark && surely(s.says - high * unit))
-        };
-        if !clipped && exposure > FAR * high {
-            readings[i].clipped = readings.iter().any(beyond);
-        }
-    }
+/// What all frames say of a channel of a run of pixels.
+pub(super) struct Run<'a> {
+    noise: &'a Noise<'a>,
+    /// By frame, the shortest exposure first: radiance at which it has relative exposure 1.
+    units: &'a [f32],
+    /// Their inverses.
+    per_unit: Vec<f32>,
+    frames: Vec<Lanes>,
+    /// What the telling ones weigh together.
+    weight: Lane,
+    radiance: Lane,
+    variance: Lane,
+    /// Room for what the frames say of one pixel, and how it counts.
+    said: Vec<(f32, f32)>,
 }
 
-/// The maximum-likelihood mean, for Gaussian noise whose variance is predicted from what all readings make likely.
-pub(super) fn estimate(readings: &[Reading], model: &Noise, channel: usize) -> Estimate {
-    // First by what each frame reads, then by what all together make likely.
-    let (mut sum, mut weight) = (0.0_f32, 0.0_f32);
-    for r in readings.iter().filter(|r| r.tells()) {
-        sum += r.weight * r.says;
-        weight += r.weight;
+impl<'a> Run<'a> {
+    pub fn new(noise: &'a Noise<'a>, units: &'a [f32]) -> Self {
+        let [says, weight, least] = [[0.0; RUN], [0.0; RUN], [f32::NAN; RUN]];
+        let frames = vec![Lanes { says, weight, least }; units.len()];
+        let per_unit = units.iter().map(|unit| 1.0 / unit).collect();
+        Self { noise, units, per_unit, frames, weight, radiance: says, variance: says, said: Vec::new() }
     }
-    if weight == 0.0 {
-        return at_the_ends(readings);
-    }
-    let likely = sum / weight;
-    let mut radiance = (likely, 1.0 / weight);
-    let (low, high) = model.range(channel);
-    let (mut sum, mut weight, mut common) = (0.0_f64, 0.0_f64, 0.0_f64);
-    for r in readings.iter().filter(|r| !r.clipped) {
-        let expected = likely * r.per_unit;
-        if expected >= low && expected < high {
-            let (precision, shared) = model.precision(channel, expected);
-            let w = f64::from(precision * r.per_unit * r.per_unit);
-            sum += w * f64::from(r.says);
-            weight += w;
-            common += w * f64::from(shared);
+
+    /// Takes down what a frame says of the pixels, at most [`RUN`] of them.
+    pub fn put(&mut self, frame: usize, told: impl Iterator<Item = Told>) {
+        let Lanes { says, weight, least } = &mut self.frames[frame];
+        for (((told, says), weight), least) in told.zip(says).zip(weight).zip(least) {
+            (*says, *weight, *least) = (told.says, told.weight, told.least);
         }
     }
-    if weight > 0.0 {
-        let mean = sum / weight;
-        radiance = (mean as f32, (1.0 / weight + common / weight * mean * mean) as f32);
-    }
-    Estimate { radiance: radiance.0, variance: radiance.1, clipped: false }
-}
 
-/// No frame is well exposed. Saturated in the shortest: it gives a lower bound, as uncertain as it is large. Black in
-/// the longest: what that one reads.
-fn at_the_ends(readings: &[Reading]) -> Estimate {
-    let shortest = readings.iter().max_by(|a, b| a.unit.total_cmp(&b.unit));
-    let longest = readings.iter().filter(|r| !r.clipped).min_by(|a, b| a.unit.total_cmp(&b.unit));
-    match (shortest, longest) {
+    /// Takes back what some of the frames, one bit each, say of a pixel; where nothing would be left, all stay.
+    pub fn leave_out(&mut self, p: usize, frames: u64) {
+        let kept = |(frame, lanes): (usize, &Lanes)| !bit(frames, frame) && lanes.at(p).is_there();
+        if self.frames.iter().enumerate().any(kept) {
+            for (_, lanes) in self.frames.iter_mut().enumerate().filter(|(frame, _)| bit(frames, *frame)) {
+                let Told { says, weight, least } = Told::NOTHING;
+                (lanes.says[p], lanes.weight[p], lanes.least[p]) = (says, weight, least);
+            }
+        }
+    }
+
+    /// The maximum-likelihood mean of each pixel, for Gaussian noise whose variance is predicted from what all readings make
+    /// likely; read by [`Self::at`].
+    pub fn estimate(&mut self, channel: usize) {
+        self.overexpose(channel);
+        // First by what each frame reads, then by what all together make likely.
+        let (mut sum, mut weight) = ([0.0; RUN], [0.0; RUN]);
+        for Lanes { says, weight: own, .. } in &self.frames {
+            for p in 0..RUN {
+                sum[p] += own[p] * says[p];
+                weight[p] += own[p];
+            }
+        }
+        for p in 0..RUN {
+            self.radiance[p] = sum[p] / weight[p];
+            self.variance[p] = 1.0 / weight[p];
+        }
+        self.weight = weight;
+        self.refine(channel);
+    }
+
+    /// Marks readings as clipped that a shorter exposure shows to be out of range: JPEG's coarse colour lets the code of a
+    /// clipped channel stray below the clipping level beside a small, strong light.
+    fn overexpose(&mut self, channel: usize) {
+        let (_, high) = self.noise.range(channel);
+        // By shorter exposures; by those up to this one.
+        let (mut surely, mut so_far) = ([f32::NEG_INFINITY; RUN], [f32::NEG_INFINITY; RUN]);
+        let mut last = f32::INFINITY;
+        for (lanes, unit) in self.frames.iter_mut().zip(self.units) {
+            if *unit < last {
+                (surely, last) = (so_far, *unit);
+            }
+            let top = high * unit;
+            for p in 0..RUN {
+                let beyond = (surely[p] > top) & (lanes.says[p] > FAR * top);
+                // Without a branch: all bits set where it is beyond.
+                let mask = u32::from(beyond).wrapping_neg();
+                let least = lanes.least[p].to_bits() & !mask | f32::INFINITY.to_bits() & mask;
+                lanes.weight[p] = f32::from_bits(lanes.weight[p].to_bits() & !mask);
+                lanes.least[p] = f32::from_bits(least);
+                so_far[p] = if lanes.least[p] > so_far[p] { lanes.least[p] } else { so_far[p] };
+            }
+        }
+    }
+
+    /// Weighs anew by the variance expected at the radiance that is likely so far. A frame too dark to say much tells
+    /// something as well, if that is expected of it.
+    fn refine(&mut self, channel: usize) {
+        let (low, high) = self.noise.range(channel);
+        let (mut sum, mut weight, mut common) = ([0.0; RUN], [0.0; RUN], [0.0; RUN]);
+        for (lanes, per_unit) in self.frames.iter().zip(&self.per_unit) {
+            let mut expected = [0.0; RUN];
+            let mut counts = [0.0; RUN];
+            for p in 0..RUN {
+                expected[p] = self.radiance[p] * per_unit;
+                let in_range = (expected[p] >= low) & (expected[p] < high);
+                counts[p] =
+                    if in_range & (lanes.least[p] < f32::INFINITY) { per_unit * per_unit } else { 0.0 };
+            }
+            if counts.iter().all(|c| *c == 0.0) {
+                continue;
+            }
+            let (precision, shared) = self.noise.precision(channel, &expected);
+            for p in 0..RUN {
+                let w = precision[p] * counts[p];
+                sum[p] += w * lanes.says[p];
+                weight[p] += w;
+                common[p] += w * shared[p];
+            }
+        }
+        for p in 0..RUN {
+            let told = weight[p] > 0.0;
+            let mean = sum[p] / weight[p];
+            let variance = 1.0 / weight[p] + common[p] / weight[p] * mean * mean;
+            self.radiance[p] = if told { mean } else { self.radiance[p] };
+            self.variance[p] = if told { variance } else { self.variance[p] };
+        }
+    }
+
+    /// What was estimated of a pixel.
+    pub fn at(&self, p: usize, channel: usize) -> Estimate {
+        if self.weight[p] > 0.0 {
+            return Estimate { radiance: self.radiance[p], variance: self.variance[p], clipped: false };
+        }
+        self.at_the_ends(p, channel)
+    }
+
+    /// No frame is well exposed. Saturated in the shortest: it gives a lower bound, as uncertain as it is large. Black in
+    /// the longest: what that one reads.
+    fn at_the_ends(&self, p: usize, channel: usize) -> Estimate {
+        let mut there = self.frames.iter().zip(self.units).filter(|(lanes, _)| lanes.at(p).is_there());
         // Clipped in some and black in all others: the longest of the black ones tells most.
-        (_, Some(r)) => Estimate { radiance: r.says, variance: r.variance, clipped: false },
-        (Some(r), None) => Estimate { radiance: r.unit, variance: r.unit * r.unit, clipped: true },
-        (None, None) => Estimate::default(),
+        let longest = there.clone().rfind(|(lanes, _)| !lanes.at(p).is_clipped());
+        match (longest, there.next()) {
+            (Some((lanes, unit)), _) => {
+                let radiance = lanes.says[p];
+                let variance = self.noise.variance(channel, radiance / unit) * unit * unit;
+                Estimate { radiance, variance, clipped: false }
+            }
+            (None, Some((_, unit))) => Estimate { radiance: *unit, variance: unit * unit, clipped: true },
+            (None, None) => Estimate::default(),
+        }
     }
-}
 
-/// Frames, one bit each, that see something else than the others: further from the middle of the readings than noise
-/// explains, clipped though the others say that they should not be, or black likewise.
-pub(super) fn inconsistent(readings: &[Reading], model: &Noise, channel: usize, likely: f32) -> u64 {
-    let off = |r: &Reading, centre: f32| {
-        let off = r.says - centre;
-        off * off > SURE * SURE * (r.variance + (UNTOLD * centre) * (UNTOLD * centre))
-    };
-    let (low, high) = model.range(channel);
-    let impossible = |r: &Reading, centre: f32| {
-        let expected = centre * r.per_unit;
-        r.clipped && expected < FAR * high || r.dark && !r.clipped && FAR * expected > low.max(0.02)
-    };
-    let wrong = |centre: f32| {
-        let bad = |r: &Reading| if r.tells() { off(r, centre) } else { impossible(r, centre) };
-        readings.iter().filter(|r| r.frame < 64 && bad(r)).fold(0_u64, |bits, r| bits | 1 << r.frame)
-    };
-    if !readings.iter().any(Reading::tells) || wrong(likely) == 0 {
-        return 0;
+    /// Pixels of which some frame may see something else than the others: further from the estimate than noise explains,
+    /// clipped though the others say that it should not be, or black likewise.
+    pub fn suspect(&self, channel: usize) -> [bool; RUN] {
+        let (low, high) = self.noise.range(channel);
+        let mut found = [0_u32; RUN];
+        for (lanes, per_unit) in self.frames.iter().zip(&self.per_unit).take(64) {
+            for p in 0..RUN {
+                let (centre, weight) = (self.radiance[p], lanes.weight[p]);
+                let (least, expected) = (lanes.least[p], centre * per_unit);
+                let wrong = (is_off(lanes.says[p], weight, centre))
+                    | (least == f32::INFINITY) & should_not_clip(expected, high)
+                    | (least == f32::NEG_INFINITY) & should_not_be_dark(expected, low);
+                found[p] |= u32::from(wrong);
+            }
+        }
+        std::array::from_fn(|p| found[p] != 0 && self.weight[p] > 0.0)
     }
-    wrong(middle(readings))
-}
 
-/// Weighted median of what the frames say; all frames that are good to a few per cent count alike, so that the longest
-/// exposure does not outvote all others.
-fn middle(readings: &[Reading]) -> f32 {
-    let mut said: Vec<(f32, f32)> = readings
-        .iter()
-        .filter(|r| r.tells())
-        .map(|r| {
-            (r.says, 1.0 / (r.variance + (UNTOLD * r.says).powi(2)).max(1e-20) * r.says.powi(2).max(1e-20))
-        })
-        .collect();
-    said.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let half = said.iter().map(|s| s.1).sum::<f32>() / 2.0;
-    let mut sum = 0.0;
-    said.iter()
-        .find(|s| {
+    /// Frames, one bit each, that see something else at a pixel than the middle of what the frames say.
+    pub fn inconsistent(&mut self, p: usize, channel: usize) -> u64 {
+        let (low, high) = self.noise.range(channel);
+        let centre = self.middle(p);
+        let wrong = |told: Told, per_unit: f32| {
+            let expected = centre * per_unit;
+            is_off(told.says, told.weight, centre)
+                || told.is_clipped() && should_not_clip(expected, high)
+                || told.is_dark() && should_not_be_dark(expected, low)
+        };
+        let frames = self.frames.iter().zip(&self.per_unit).take(64).enumerate();
+        frames.fold(0, |bits, (i, (lanes, per_unit))| bits | u64::from(wrong(lanes.at(p), *per_unit)) << i)
+    }
+
+    /// Weighted median of what the frames say; all frames that are good to a few per cent count alike, so that the longest
+    /// exposure does not outvote all others.
+    fn middle(&mut self, p: usize) -> f32 {
+        let telling = self.frames.iter().map(|lanes| lanes.at(p)).filter(Told::tells);
+        self.said.clear();
+        self.said.extend(telling.map(|Told { says, weight, .. }| {
+            let variance = 1.0 / weight + (UNTOLD * says).powi(2);
+            (says, says.powi(2).max(1e-20) / variance.max(1e-20))
+        }));
+        self.said.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
+        let half = self.said.iter().map(|s| s.1).sum::<f32>() / 2.0;
+        let mut sum = 0.0;
+        let at_half = |s: &&(f32, f32)| {
             sum += s.1;
             sum >= half
-        })
-        .map_or(0.0, |s| s.0)
+        };
+        self.said.iter().find(at_half).map_or(0.0, |s| s.0)
+    }
+}
+
+/// Whether a frame is one of those that have a bit set.
+fn bit(frames: u64, frame: usize) -> bool {
+    frame < 64 && frames & 1 << frame != 0
+}
+
+/// Further from the middle than noise explains: (says − centre)² over variance and what is untold. Never, where nothing is said.
+fn is_off(says: f32, weight: f32, centre: f32) -> bool {
+    let (off, untold) = (says - centre, UNTOLD * centre);
+    off * off * weight > SURE * SURE * (1.0 + untold * untold * weight)
+}
+
+fn should_not_clip(expected: f32, high: f32) -> bool {
+    expected < FAR * high
+}
+
+fn should_not_be_dark(expected: f32, low: f32) -> bool {
+    FAR * expected > low.max(0.02)
 }

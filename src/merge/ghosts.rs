@@ -4,47 +4,44 @@ use crate::image::Image;
 
 /// Half the side of the neighbourhood that is looked at, px, and how many of its pixels must disagree.
 const REACH: usize = 2;
-const NEEDED: u32 = 9;
+const NEEDED: u8 = 9;
 /// Rows beyond a band that its mask depends on.
 pub(super) const MARGIN: usize = REACH + 1;
 
 /// Frames to leave out, one bit each, from those that single pixels find inconsistent: where many pixels around agree on
 /// it, and one pixel further, since the border of a moving thing blends with what lies behind.
 pub(super) fn mask(inconsistent: &Image<u64>) -> Image<u64> {
-    let (width, height) = inconsistent.size();
-    if inconsistent.pixels().iter().all(|b| *b == 0) {
-        return Image::from_fn(width, height, |_, _| 0);
-    }
-    let near = spread(inconsistent, REACH);
-    let core = Image::from_fn(width, height, |x, y| {
-        let (mut left, mut agreed) = (*near.at(x, y), 0);
-        while left != 0 {
-            let bit = left & left.wrapping_neg();
-            left ^= bit;
-            let mut count = 0;
-            for v in y.saturating_sub(REACH)..(y + REACH + 1).min(height) {
-                for u in x.saturating_sub(REACH)..(x + REACH + 1).min(width) {
-                    count += u32::from(inconsistent.at(u, v) & bit != 0);
-                }
-            }
-            if count >= NEEDED {
-                agreed |= bit;
-            }
+    let mut left = inconsistent.pixels().iter().fold(0, |all, bits| all | bits);
+    let mut core = Image::filled(inconsistent.width(), inconsistent.height(), 0);
+    while left != 0 {
+        let bit = left & left.wrapping_neg();
+        left ^= bit;
+        let counts = gathered(&inconsistent.map(|bits| u8::from(bits & bit != 0)), REACH, |sum, n| *sum += n);
+        for (core, count) in core.pixels_mut().iter_mut().zip(counts.pixels()) {
+            *core |= if *count >= NEEDED { bit } else { 0 };
         }
-        agreed
-    });
-    spread(&core, 1)
+    }
+    gathered(&core, 1, |all, bits| *all |= bits)
 }
 
-/// Each pixel with the bits of all within `reach`, along rows and then along columns.
-fn spread(bits: &Image<u64>, reach: usize) -> Image<u64> {
-    let (width, height) = bits.size();
-    let along = Image::from_fn(width, height, |x, y| {
-        (x.saturating_sub(reach)..(x + reach + 1).min(width)).fold(0, |b, u| b | bits.at(u, y))
-    });
-    Image::from_fn(width, height, |x, y| {
-        (y.saturating_sub(reach)..(y + reach + 1).min(height)).fold(0, |b, v| b | along.at(x, v))
-    })
+/// Each pixel with all that lie within `reach`, along rows and then along columns.
+fn gathered<T: Copy>(image: &Image<T>, reach: usize, add: impl Fn(&mut T, &T)) -> Image<T> {
+    let width = image.width().max(1);
+    let mut along = image.clone();
+    for (to, from) in along.pixels_mut().chunks_mut(width).zip(image.pixels().chunks(width)) {
+        gather(to, from, reach, 1, &add);
+    }
+    let mut around = along.clone();
+    gather(around.pixels_mut(), along.pixels(), reach, width, &add);
+    around
+}
+
+/// Adds what lies up to `reach` steps before and after.
+fn gather<T>(to: &mut [T], from: &[T], reach: usize, step: usize, add: &impl Fn(&mut T, &T)) {
+    for d in (1..=reach).map(|k| k * step).filter(|d| *d < from.len()) {
+        to[d..].iter_mut().zip(from).for_each(|(to, from)| add(to, from));
+        to.iter_mut().zip(&from[d..]).for_each(|(to, from)| add(to, from));
+    }
 }
 
 #[cfg(test)]

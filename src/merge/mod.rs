@@ -23,7 +23,7 @@ pub use crate::exposure::Frame;
 pub use bands::{Band, FrameFigures, Summary, merge_in_bands};
 pub use noise::{Noise, Sensor};
 pub use problem::Problem;
-pub use series::Series;
+pub use series::{ROOM, Series};
 pub use stage::write_plate;
 
 use crate::artefact::exr::Planes;

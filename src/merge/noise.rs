@@ -1,7 +1,7 @@
 //! How far a reading may be off.
 
 use super::Problem;
-use super::estimate::Reading;
+use super::estimate::{Lane, RUN, Told};
 use crate::config;
 use crate::exposure::Frame;
 use crate::image::CodeImage;
@@ -13,6 +13,9 @@ const OCTAVES: i32 = 24;
 const TOP_OCTAVE: i32 = 2;
 const POINTS: usize = 16;
 const ENTRIES: usize = OCTAVES as usize * POINTS;
+/// Exposures at both ends of the table: powers of two have no fraction.
+const LEAST: f32 = f32::from_bits(((127 + TOP_OCTAVE - OCTAVES) as u32) << 23);
+const MOST: f32 = f32::from_bits((((127 + TOP_OCTAVE) as u32) << 23) - 1);
 /// Step of an 8-bit code.
 const STEP: f32 = 1.0 / (LEVELS - 1) as f32;
 
@@ -129,10 +132,16 @@ impl<'a> Noise<'a> {
         self.variance[channel][entry(exposure)]
     }
 
-    /// Inverse of that variance, and the squared relative error that all frames have in common there: of the curve, and of
+    /// Inverses of that variance, and the squared relative errors that all frames have in common there: of the curve, and of
     /// detail that is smoothed away.
-    pub(super) fn precision(&self, channel: usize, exposure: f32) -> (f32, f32) {
-        self.precision[channel][entry(exposure)]
+    pub(super) fn precision(&self, channel: usize, exposures: &Lane) -> (Lane, Lane) {
+        let table = &self.precision[channel];
+        let entries = exposures.map(entry);
+        let (mut precision, mut shared) = ([0.0; RUN], [0.0; RUN]);
+        for p in 0..RUN {
+            (precision[p], shared[p]) = table[entries[p]];
+        }
+        (precision, shared)
     }
 
     /// Relative exposures between which a frame is worth reading.
@@ -145,17 +154,20 @@ impl<'a> Noise<'a> {
         code >= self.clip[channel]
     }
 
-    pub(super) fn read(&self, frame: usize, channel: usize, code: f32, unit: f32) -> Reading {
+    /// What a frame says at a code. `unit`: radiance at which it has relative exposure 1.
+    pub(super) fn told(&self, channel: usize, code: f32, unit: f32) -> Told {
         let exposure = self.response.curves[channel].exposure_of(code);
         let ends = [self.is_clipped(channel, code), code <= self.floor[channel]];
-        Reading::new(frame, exposure, self.variance(channel, exposure), unit, ends)
+        Told::new(exposure, self.variance(channel, exposure), unit, ends)
     }
 }
 
 /// Entry of the tables: octave and sixteenth of an octave stand in the exponent and the first bits of the fraction.
 fn entry(exposure: f32) -> usize {
-    let steps = (exposure.max(0.0).to_bits() >> 19) as i32 - ((127 + TOP_OCTAVE - OCTAVES) << 4);
-    steps.clamp(0, ENTRIES as i32 - 1) as usize
+    // Comparisons in this order hold what is no number, too.
+    let held = if exposure > LEAST { exposure } else { LEAST };
+    let held = if held < MOST { held } else { MOST };
+    ((held.to_bits() >> 19) - (LEAST.to_bits() >> 19)) as usize
 }
 
 /// Exposure of the middle of an entry of the table.

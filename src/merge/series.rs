@@ -7,8 +7,8 @@ use crate::response::{self, FoundExposure, Response, Sampled};
 use crate::stage::Context;
 use std::collections::BTreeMap;
 
-/// Memory in which frames are kept, bytes.
-const ROOM: usize = 1 << 26;
+/// Memory in which the frames of a view are kept, bytes.
+pub const ROOM: usize = 1 << 27;
 
 /// Exposures of one view, kept in memory or put aside on the disk.
 pub struct Series<'a> {

@@ -83,6 +83,26 @@ fn equal_exposures_halve_the_variance() {
 }
 
 #[test]
+fn a_pixel_is_merged_alike_wherever_it_stands() {
+    let truth: Vec<f64> = (0..300).map(|i| 10_f64.powf(f64::from(i) / 60.0 - 3.0)).collect();
+    let of = |images: &[CodeImage]| {
+        let frames: Vec<_> =
+            images.iter().zip(EXPOSURES).map(|(codes, exposure)| Frame { codes, exposure }).collect();
+        merge(&frames, &Response::srgb(), 1.0, &config::Merge { deghost: false, ..Default::default() })
+            .unwrap()
+    };
+    let row: Vec<_> = EXPOSURES.iter().zip(0..).map(|(e, seed)| shoot(&truth, *e, Some(seed))).collect();
+    let merged = of(&row);
+    for i in 0..truth.len() {
+        let alone: Vec<_> = row.iter().map(|r| Image::from_pixels(1, 1, vec![r.pixels()[i]])).collect();
+        let alone = of(&alone);
+        assert_eq!(alone.radiance.pixels()[0].0, merged.radiance.pixels()[i].0, "{i}");
+        assert_eq!(alone.variance.pixels()[0], merged.variance.pixels()[i], "{i}");
+        assert_eq!(alone.clipped.pixels()[0], merged.clipped.pixels()[i], "{i}");
+    }
+}
+
+#[test]
 fn a_wrong_exposure_shows_as_disagreement() {
     let truth: Vec<f64> = (0..500).map(|i| 0.05 + f64::from(i) / 600.0).collect();
     let images: Vec<_> = [0.25, 1.0].iter().map(|e| shoot(&truth, *e, None)).collect();

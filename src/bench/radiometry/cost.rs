@@ -5,7 +5,7 @@ use crate::bench::spread;
 use crate::config;
 use crate::error::{Context as _, Error, FileContext, Result};
 use crate::exposure::{Frame, Room, Stored, decode_each};
-use crate::merge::{Problem, merge_in_bands};
+use crate::merge::{Problem, ROOM, merge_in_bands};
 use crate::printer::Printer;
 use crate::response::{Sampled, fit_sampled};
 use crate::stage::{cpu_time_s, peak_memory_mib};
@@ -110,7 +110,7 @@ pub(in crate::bench) fn merge_cost(program: &str, folder: &Path, printer: &Print
 
 fn ours(files: &[(PathBuf, f64)]) -> Result<()> {
     let (paths, exposures): (Vec<PathBuf>, Vec<f64>) = files.iter().cloned().unzip();
-    let room = Room::new(0);
+    let room = Room::new(ROOM);
     let read = |i: usize, stored: Stored| {
         let sampled = Sampled::new(&Frame { codes: &stored, exposure: exposures[i] }).at(DOING, &paths[i])?;
         Ok((room.keep(stored).at(DOING, &paths[i])?, sampled))

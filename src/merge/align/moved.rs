@@ -2,8 +2,8 @@
 
 use super::homography::map;
 use super::motion::Motion;
-use crate::exposure::Rows;
-use crate::image::{Code, CodeImage, Image};
+use crate::exposure::{Rows, Strip};
+use crate::image::{Code, Image};
 use nalgebra::Matrix3;
 use std::io::Result;
 use std::ops::Range;
@@ -36,9 +36,9 @@ impl Rows for Moved<'_> {
         self.codes.bits()
     }
 
-    fn rows(&self, range: Range<usize>) -> Result<CodeImage> {
+    fn strip(&self, range: Range<usize>) -> Result<Strip<'_>> {
         if self.still {
-            return self.codes.rows(range);
+            return self.codes.strip(range);
         }
         let (width, height) = self.size();
         let (top, bottom) = (range.start as f64, range.end as f64);
@@ -49,7 +49,7 @@ impl Rows for Moved<'_> {
         let last = (high + 3.0).clamp(first as f64, height as f64) as usize;
         let source = self.codes.rows(first..last)?;
         let nowhere = Code([f32::NAN; 3]);
-        Ok(Image::from_fn(width, range.len(), |x, y| {
+        let seen = Image::from_fn(width, range.len(), |x, y| {
             let [u, v] = map(&self.frame_from_view, [x as f64 + 0.5, (range.start + y) as f64 + 0.5]);
             let (fx, fy) = (u - 0.5, v - 0.5 - first as f64);
             // Half a pixel beyond the outermost centres is still within the picture.
@@ -71,6 +71,7 @@ impl Rows for Moved<'_> {
                 }
                 (v[0] * (1.0 - a) + v[1] * a) * (1.0 - b) + (v[2] * (1.0 - a) + v[3] * a) * b
             }))
-        }))
+        });
+        Ok(Strip::Codes(seen.into_pixels().into()))
     }
 }
