@@ -1,6 +1,6 @@
 //! Radiance by direction on the faces of a cube: what a dome of lights takes its colours from (supan2006, §V.C).
 
-use crate::image::{Radiance, RadianceImage, luminance};
+use crate::image::{Radiance, RadianceImage};
 use crate::probe::latlong;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -301,11 +301,6 @@ impl Sums {
         }
         cube
     }
-}
-
-/// Power of a part of an environment by luminance.
-pub(super) fn weight(power: &[f64; 3]) -> f64 {
-    f64::from(luminance(power.map(|p| p as f32)))
 }
 
 #[cfg(test)]

@@ -1,8 +1,8 @@
 //! A light for every texel of a coarse cube map (supan2006, §V.C), and what the paper leaves open: lights that stand where
 //! their texel is bright, and more of them where one is too few.
 
-use super::cube::{CubeMap, FACES, solid_angle, weight};
-use crate::illuminate::distant::Stratum;
+use super::cube::{CubeMap, FACES, solid_angle};
+use crate::illuminate::distant::{Stratum, weight};
 use crate::illuminate::patch::DistantSource;
 use crate::image::luminance;
 use glam::{DVec3, Vec3};

@@ -3,17 +3,16 @@
 //!
 //! The plate is a phantom object (§V.D): ε = B R / E takes from it the share that R has of all its irradiance E.
 
-use super::cube::weight;
-use super::{CubeMap, DomeLight, Layout, lights};
+use super::{CubeMap, Layout, lights};
 use crate::config::Render;
 use crate::illuminate::patch::LightModel;
 use crate::render::Environment;
 use crate::shadow::{Bounds, Occluder, Problem, Removed, Scene};
 use crate::subtractive::{Light, LitPlate};
 use crate::visibility::Bvh;
-use glam::{DVec3, Vec3};
+use glam::Vec3;
 use rayon::prelude::*;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
 /// Side of the cube map from which the dome is downsampled, texels.
 const CUBE: usize = 64;
@@ -44,33 +43,8 @@ pub(super) fn lights_at(model: &LightModel, bvh: &Bvh, place: Vec3, settings: &R
     if settings.dome_at_infinity {
         return dome.iter().map(|l| Light::distant(&l.source)).collect();
     }
-    let face_in = |i: usize| {
-        let hit = bvh.closest(place, cube.texel(i).0, 0.0, f32::INFINITY)?;
-        Some(model.mesh.patches[hit.triangle as usize].face)
-    };
-    let faces: Vec<Option<u32>> = (0..cube.texels().len()).into_par_iter().map(face_in).collect();
-    let light = |l: &DomeLight| {
-        let mut stratum = l.stratum();
-        if settings.dome_centroid {
-            stratum.source.direction = on_main_face(l, &cube, &faces);
-        }
-        Light::on_model(&stratum, model, bvh, place)
-    };
-    dome.iter().map(light).collect()
-}
-
-/// Centroid of what a light's texels show of the face from which most of their light comes: between two faces, or between a lamp
-/// and the wall behind it, there may be nothing that shines, or something that the one hides from the other.
-fn on_main_face(light: &DomeLight, cube: &CubeMap, faces: &[Option<u32>]) -> Vec3 {
-    let mut sums: BTreeMap<Option<u32>, (f64, DVec3)> = BTreeMap::new();
-    for i in light.cell.texels(cube.side()) {
-        let (direction, solid_angle) = cube.texel(i);
-        let sent = weight(&cube.texels()[i].0.map(|l| f64::from(l.max(0.0)) * solid_angle));
-        let sum = sums.entry(faces[i]).or_default();
-        *sum = (sum.0 + sent, sum.1 + direction.as_dvec3() * sent);
-    }
-    let main = sums.into_values().max_by(|a, b| a.0.total_cmp(&b.0));
-    main.and_then(|(_, moment)| moment.as_vec3().try_normalize()).unwrap_or(light.source.direction)
+    let place_of = if settings.dome_centroid { Light::on_model } else { Light::along };
+    dome.par_iter().map(|l| place_of(&l.stratum(), model, bvh, place)).collect()
 }
 
 /// The method `light-dome`, prepared for a scene.

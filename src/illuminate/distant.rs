@@ -74,7 +74,8 @@ impl Texel {
     }
 }
 
-fn weight(power: &[f64; 3]) -> f64 {
+/// Power of a part of an environment by luminance.
+pub(crate) fn weight(power: &[f64; 3]) -> f64 {
     f64::from(luminance(power.map(|p| p as f32)))
 }
 

@@ -110,7 +110,7 @@ impl Environment {
     }
 
     /// Power per texel: luminance times solid angle.
-    pub(super) fn power(&self) -> Vec<f64> {
+    pub(crate) fn power(&self) -> Vec<f64> {
         (0..self.map.pixels().len())
             .map(|i| {
                 f64::from(luminance(self.map.pixels()[i].0).max(0.0))

@@ -4,13 +4,15 @@ use super::structured::structured;
 use crate::config::{LightSampling, Render};
 use crate::illuminate::distant::{Stratum, median_cut, texels};
 use crate::illuminate::patch::{DistantSource, LightModel};
-use crate::image::RadianceImage;
+use crate::image::{RadianceImage, luminance};
 use crate::irradiance::split_beams;
 use crate::render::Environment;
 use crate::shadow::ShadowOrigin;
 use crate::transfer::sampling::{Shift, in_cap};
 use crate::visibility::Bvh;
-use glam::Vec3;
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+use std::collections::BTreeMap;
 use std::f32::consts::PI;
 
 /// At most `count` lights with all the power of a `latlong` environment; none where that is black.
@@ -46,7 +48,8 @@ pub(crate) fn lights_at(
     let environment = Environment::cast_with(&model.mesh, &soft, bvh, place, width, width / 2);
     let rest = count.saturating_sub(each * open.len()).max(1);
     let sources = sample(&environment.map, rest, settings.light_sampling);
-    points.chain(sources.iter().map(|stratum| Light::on_model(stratum, model, bvh, place))).collect()
+    let on_model = sources.par_iter().map(|stratum| Light::on_model(stratum, model, bvh, place));
+    points.chain(on_model.collect::<Vec<_>>()).collect()
 }
 
 /// A light of the environment as seen from one place.
@@ -78,6 +81,9 @@ struct Near {
 
 /// A surface seen more obliquely from the environment's place than by this cosine counts as so oblique.
 const LEAST_COSINE: f32 = 0.1;
+/// Rays that find the surface of a light, over so many times its solid angle: a disc around a texel with its corners.
+const RAYS: u32 = 64;
+const REACH: f32 = 2.0;
 /// Near lights lie before their surface by this much, m.
 const BEFORE_M: f32 = 1e-4;
 
@@ -103,8 +109,40 @@ impl Light {
         Self { extent_sr: stratum.extent_sr, ..Self::distant(&stratum.source) }
     }
 
-    /// On the front of the surface that the light is seen on from `place` (m), at infinity where there is none.
+    /// On the front of the surface that sends most of the stratum's light to `place` (m), at infinity where that comes from
+    /// beyond the model. Along the stratum's direction there may be nothing that shines, but the wall behind a lamp, which hides
+    /// it, or the gap between two of its faces.
     pub(crate) fn on_model(stratum: &Stratum, model: &LightModel, bvh: &Bvh, place: Vec3) -> Self {
+        let cap = DistantSource { solid_angle_sr: REACH * stratum.extent_sr, ..stratum.source };
+        let mut by_face: BTreeMap<Option<u32>, Vec<(Vec3, f64)>> = BTreeMap::new();
+        for i in 0..RAYS {
+            let direction = in_cap(cap.direction, cap.angular_radius(), Shift::new(0, 0).point(i));
+            let hit = bvh.closest(place, direction, 0.0, f32::INFINITY);
+            let face = hit.map(|hit| model.mesh.patches[hit.triangle as usize].face);
+            let sent = match hit {
+                Some(hit) if model.mesh.normal(hit.triangle as usize).dot(direction) >= 0.0 => [0.0; 3],
+                Some(hit) => model.mesh.patches[hit.triangle as usize].radiance,
+                None => beyond(model, direction),
+            };
+            by_face.entry(face).or_default().push((direction, f64::from(luminance(sent))));
+        }
+        let sent = |rays: &Vec<(Vec3, f64)>| rays.iter().map(|ray| ray.1).sum::<f64>();
+        let main = by_face.into_values().max_by(|a, b| sent(a).total_cmp(&sent(b))).unwrap_or_default();
+        let centre: DVec3 = main.iter().map(|(d, sent)| d.as_dvec3() * *sent).sum();
+        let near = |d: &Vec3| d.as_dvec3().dot(centre);
+        let direction = main.into_iter().map(|ray| ray.0).max_by(|a, b| near(a).total_cmp(&near(b)));
+        let lit = direction.filter(|_| centre != DVec3::ZERO).unwrap_or(cap.direction);
+        Self::along(
+            &Stratum { source: DistantSource { direction: lit, ..stratum.source }, ..*stratum },
+            model,
+            bvh,
+            place,
+        )
+    }
+
+    /// On the front of the surface that is seen along the stratum's direction from `place` (m), at infinity where there is
+    /// none.
+    pub(crate) fn along(stratum: &Stratum, model: &LightModel, bvh: &Bvh, place: Vec3) -> Self {
         let (mut light, source) = (Self::of_stratum(stratum), &stratum.source);
         let Some(hit) = bvh.closest(place, source.direction, 0.0, f32::INFINITY) else { return light };
         let normal = model.mesh.normal(hit.triangle as usize);
@@ -142,6 +180,16 @@ impl Light {
     pub fn hidden_by(&self, scene: &Bvh, position: Vec3) -> bool {
         self.origin.hidden_by(scene, position)
     }
+}
+
+/// Radiance of the distant light in a direction.
+fn beyond(model: &LightModel, direction: Vec3) -> [f32; 3] {
+    let covers = |s: &&DistantSource| s.direction.dot(direction) >= s.angular_radius().cos();
+    model
+        .distant
+        .iter()
+        .filter(covers)
+        .fold([0.0; 3], |sum, s| std::array::from_fn(|k| sum[k] + s.radiance[k]))
 }
 
 #[cfg(test)]
@@ -185,6 +233,49 @@ mod tests {
         for sampling in [LightSampling::Structured, LightSampling::MedianCut] {
             assert!(sample(&black, 10, sampling).is_empty());
         }
+    }
+
+    #[test]
+    fn a_lamps_light_stands_on_the_lamp_and_not_on_the_wall_behind() {
+        let mut mesh = PatchMesh::default();
+        face(&mut mesh, Vec3::new(-4.0, 3.0, -4.0), Vec3::X * 8.0, Vec3::Z * 8.0, 1.0, |_| [0.01; 3]);
+        face(&mut mesh, Vec3::new(0.1, 1.5, 0.05), Vec3::X * 0.33, Vec3::Z * 0.27, 0.3, |_| [100.0; 3]);
+        let model = LightModel { mesh, distant: vec![] };
+        let bvh = Bvh::new(&model.mesh.vertices, &model.mesh.triangles());
+        let environment = Environment::cast(&model, &bvh, Vec3::ZERO, 48, 24);
+        let all: f64 = environment.power().iter().sum();
+        let on_lamp = |light: &Light| {
+            let near = |at: Vec3| (at.y - 1.5).abs() < 0.01;
+            matches!(light.origin, ShadowOrigin::Point(at) if near(at))
+        };
+        let mut least: f64 = 1.0;
+        for sampling in [LightSampling::Structured, LightSampling::MedianCut] {
+            for count in [4, 30, 300] {
+                let strata = sample(&environment.map, count, sampling);
+                let share = |place: &dyn Fn(&Stratum) -> Light| {
+                    let lights = strata.iter().map(place).filter(on_lamp);
+                    lights.map(|l| f64::from(luminance(l.power))).sum::<f64>() / all
+                };
+                let found = share(&|s| Light::on_model(s, &model, &bvh, Vec3::ZERO));
+                assert!(found > 0.98, "{count} {sampling:?}: {found}");
+                least = least.min(share(&|s| Light::along(s, &model, &bvh, Vec3::ZERO)));
+            }
+        }
+        assert!(least < 0.9, "what is seen along the middle may be the wall: {least}");
+    }
+
+    #[test]
+    fn light_from_beyond_the_model_is_not_put_on_the_frame_of_its_window() {
+        let mut mesh = PatchMesh::default();
+        face(&mut mesh, Vec3::new(-0.01, 2.0, -1.0), Vec3::X * 0.02, Vec3::Z * 2.0, 0.5, |_| [0.01; 3]);
+        let direction = Vec3::Y;
+        let sky = DistantSource { direction, solid_angle_sr: 0.02, radiance: [2.0; 3] };
+        let model = LightModel { mesh, distant: vec![sky] };
+        let bvh = Bvh::new(&model.mesh.vertices, &model.mesh.triangles());
+        let stratum = Stratum { source: sky, extent_sr: 0.02 };
+        let place = |light: Light| matches!(light.origin, ShadowOrigin::Direction(_));
+        assert!(place(Light::on_model(&stratum, &model, &bvh, Vec3::ZERO)));
+        assert!(!place(Light::along(&stratum, &model, &bvh, Vec3::ZERO)), "the frame stands in the middle");
     }
 
     #[test]
