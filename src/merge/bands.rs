@@ -203,15 +203,14 @@ impl View<'_> {
         let with_ghosts: Vec<usize> =
             (first..first + wanted.len()).filter(|i| wanted[i - first] != 0).collect();
         for pixels in with_ghosts.chunks(RUN) {
-            let mut without = [[Estimate::default(); 3]; RUN];
-            for channel in 0..3 {
+            let without = [0, 1, 2].map(|channel| {
                 self.read(run, strips, channel, pixels);
                 pixels.iter().enumerate().for_each(|(p, i)| run.leave_out(p, wanted[i - first]));
                 run.estimate(channel);
-                (0..pixels.len()).for_each(|p| without[p][channel] = run.at(p, channel));
-            }
-            for (i, without) in pixels.iter().zip(without) {
-                let all = &mut estimates[*i];
+                std::array::from_fn::<_, RUN, _>(|p| run.at(p, channel))
+            });
+            for (p, i) in pixels.iter().enumerate() {
+                let (without, all) = (without.map(|channel| channel[p]), &mut estimates[*i]);
                 let agrees = |(rest, all): (&Estimate, &Estimate)| {
                     rest.clipped && !all.clipped && all.radiance > rest.radiance
                 };

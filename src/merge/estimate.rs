@@ -247,13 +247,13 @@ impl<'a> Run<'a> {
         let (low, high) = self.noise.range(channel);
         let mut found = [0_u32; RUN];
         for (lanes, per_unit) in self.frames.iter().zip(&self.per_unit).take(64) {
-            for p in 0..RUN {
+            for (p, found) in found.iter_mut().enumerate() {
                 let (centre, weight) = (self.radiance[p], lanes.weight[p]);
                 let (least, expected) = (lanes.least[p], centre * per_unit);
-                let wrong = (is_off(lanes.says[p], weight, centre))
+                let wrong = is_off(lanes.says[p], weight, centre)
                     | (least == f32::INFINITY) & should_not_clip(expected, high)
                     | (least == f32::NEG_INFINITY) & should_not_be_dark(expected, low);
-                found[p] |= u32::from(wrong);
+                *found |= u32::from(wrong);
             }
         }
         std::array::from_fn(|p| found[p] != 0 && self.weight[p] > 0.0)

@@ -10,7 +10,7 @@ use crate::render::Environment;
 use crate::shadow::ShadowOrigin;
 use crate::transfer::sampling::{Shift, in_cap};
 use crate::visibility::Bvh;
-use glam::{DVec3, Vec3};
+use glam::Vec3;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::f32::consts::PI;
@@ -81,6 +81,8 @@ struct Near {
 
 /// A surface seen more obliquely from the environment's place than by this cosine counts as so oblique.
 const LEAST_COSINE: f32 = 0.1;
+/// A surface with this share of the light's mean radiance is the one that it comes from.
+const ENOUGH: f32 = 0.5;
 /// Rays that find the surface of a light, over so many times its solid angle: a disc around a texel with its corners.
 const RAYS: u32 = 64;
 const REACH: f32 = 2.0;
@@ -109,35 +111,32 @@ impl Light {
         Self { extent_sr: stratum.extent_sr, ..Self::distant(&stratum.source) }
     }
 
-    /// On the front of the surface that sends most of the stratum's light to `place` (m), at infinity where that comes from
-    /// beyond the model. Along the stratum's direction there may be nothing that shines, but the wall behind a lamp, which hides
-    /// it, or the gap between two of its faces.
+    /// On the front of the surface that sends the stratum's light to `place` (m), at infinity where that comes from beyond
+    /// the model. What is seen along its direction may shine little: the wall behind a lamp, which hides it, or the gap between two
+    /// of its faces. The light then stands on what sends most around there.
     pub(crate) fn on_model(stratum: &Stratum, model: &LightModel, bvh: &Bvh, place: Vec3) -> Self {
-        let cap = DistantSource { solid_angle_sr: REACH * stratum.extent_sr, ..stratum.source };
-        let mut by_face: BTreeMap<Option<u32>, Vec<(Vec3, f64)>> = BTreeMap::new();
+        let source = &stratum.source;
+        let mean =
+            luminance(source.radiance) * source.solid_angle_sr / stratum.extent_sr.max(f32::MIN_POSITIVE);
+        let (_, along) = sent_along(source.direction, model, bvh, place);
+        if along >= ENOUGH * mean {
+            return Self::along(stratum, model, bvh, place);
+        }
+        let cap = DistantSource { solid_angle_sr: REACH * stratum.extent_sr, ..*source };
+        let mut by_face: BTreeMap<Option<u32>, Vec<(Vec3, f32)>> = BTreeMap::new();
         for i in 0..RAYS {
             let direction = in_cap(cap.direction, cap.angular_radius(), Shift::new(0, 0).point(i));
-            let hit = bvh.closest(place, direction, 0.0, f32::INFINITY);
-            let face = hit.map(|hit| model.mesh.patches[hit.triangle as usize].face);
-            let sent = match hit {
-                Some(hit) if model.mesh.normal(hit.triangle as usize).dot(direction) >= 0.0 => [0.0; 3],
-                Some(hit) => model.mesh.patches[hit.triangle as usize].radiance,
-                None => beyond(model, direction),
-            };
-            by_face.entry(face).or_default().push((direction, f64::from(luminance(sent))));
+            let (face, sent) = sent_along(direction, model, bvh, place);
+            by_face.entry(face).or_default().push((direction, sent));
         }
-        let sent = |rays: &Vec<(Vec3, f64)>| rays.iter().map(|ray| ray.1).sum::<f64>();
+        let sent = |rays: &Vec<(Vec3, f32)>| rays.iter().map(|ray| ray.1).sum::<f32>();
         let main = by_face.into_values().max_by(|a, b| sent(a).total_cmp(&sent(b))).unwrap_or_default();
-        let centre: DVec3 = main.iter().map(|(d, sent)| d.as_dvec3() * *sent).sum();
-        let near = |d: &Vec3| d.as_dvec3().dot(centre);
+        let centre: Vec3 = main.iter().map(|(direction, sent)| *direction * *sent).sum();
+        let near = |direction: &Vec3| direction.dot(centre);
         let direction = main.into_iter().map(|ray| ray.0).max_by(|a, b| near(a).total_cmp(&near(b)));
-        let lit = direction.filter(|_| centre != DVec3::ZERO).unwrap_or(cap.direction);
-        Self::along(
-            &Stratum { source: DistantSource { direction: lit, ..stratum.source }, ..*stratum },
-            model,
-            bvh,
-            place,
-        )
+        let lit = direction.filter(|_| centre != Vec3::ZERO).unwrap_or(cap.direction);
+        let source = DistantSource { direction: lit, ..*source };
+        Self::along(&Stratum { source, ..*stratum }, model, bvh, place)
     }
 
     /// On the front of the surface that is seen along the stratum's direction from `place` (m), at infinity where there is
@@ -182,14 +181,15 @@ impl Light {
     }
 }
 
-/// Radiance of the distant light in a direction.
-fn beyond(model: &LightModel, direction: Vec3) -> [f32; 3] {
-    let covers = |s: &&DistantSource| s.direction.dot(direction) >= s.angular_radius().cos();
-    model
-        .distant
-        .iter()
-        .filter(covers)
-        .fold([0.0; 3], |sum, s| std::array::from_fn(|k| sum[k] + s.radiance[k]))
+/// The face that is seen in a direction, and the luminance that it sends from its front; of the distant light, where there is none.
+fn sent_along(direction: Vec3, model: &LightModel, bvh: &Bvh, place: Vec3) -> (Option<u32>, f32) {
+    let Some(hit) = bvh.closest(place, direction, 0.0, f32::INFINITY) else {
+        let covers = |s: &&DistantSource| s.direction.dot(direction) >= s.angular_radius().cos();
+        return (None, model.distant.iter().filter(covers).map(|s| luminance(s.radiance)).sum());
+    };
+    let patch = &model.mesh.patches[hit.triangle as usize];
+    let front = model.mesh.normal(hit.triangle as usize).dot(direction) < 0.0;
+    (Some(patch.face), if front { luminance(patch.radiance) } else { 0.0 })
 }
 
 #[cfg(test)]
