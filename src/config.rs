@@ -212,6 +212,8 @@ settings! {
         /// Height of the camera over the floor, m, for a photograph without grid in which neither origin nor scale is
         /// marked: the origin is on the floor then, where the middle of the lower half of the picture looks. 0: unknown.
         camera_height_m: f64 = 0.0,
+        /// Whether the marks of the scene's primitives take part in finding the cameras.
+        joint: bool = true,
         /// Refuse a calibration whose grid corners reproject worse than this, px.
         max_rms_px: f64 = 1.0,
     }

@@ -59,7 +59,8 @@ pub enum Loss {
 }
 
 impl Loss {
-    fn weight(self, residual: f64) -> f64 {
+    /// The weight of a residual, in units of its standard deviation.
+    pub fn weight(self, residual: f64) -> f64 {
         match self {
             Self::Huber(threshold) if residual.abs() > threshold => threshold / residual.abs(),
             _ => 1.0,
@@ -74,6 +75,8 @@ pub struct Fit {
     pub parameters: DVector<f64>,
     /// Their covariance, (JᵀJ)⁻¹ σ² with σ² from the residuals; σ = 1 where there are no more residuals than parameters.
     pub covariance: DMatrix<f64>,
+    /// The variance of a residual of unit weight that stands in the covariance.
+    pub variance: f64,
     /// By how much each parameter (row) moves for a change of each residual (column): −(JᵀJ)⁻¹Jᵀ.
     pub gain: DMatrix<f64>,
     /// Residuals at the parameters, not weighted.
@@ -209,7 +212,7 @@ fn finish(
     let rms = rms(&residuals);
     if n == 0 {
         let (covariance, gain) = (DMatrix::zeros(0, 0), DMatrix::zeros(0, residuals.len()));
-        return Ok(Fit { parameters, covariance, gain, residuals, rms, condition: 1.0 });
+        return Ok(Fit { parameters, covariance, variance: 1.0, gain, residuals, rms, condition: 1.0 });
     }
     let name = |k: usize| names.get(k).cloned().unwrap_or_else(|| format!("parameter {k}"));
     if residuals.is_empty() {
@@ -231,7 +234,7 @@ fn finish(
     let mut gain = -(&inverse * js.transpose());
     gain.row_iter_mut().zip(scale.iter()).for_each(|(mut row, s)| row *= *s);
     gain.column_iter_mut().zip(weights.iter()).for_each(|(mut column, w)| column *= *w);
-    Ok(Fit { parameters, covariance, gain, residuals, rms, condition })
+    Ok(Fit { parameters, covariance, variance, gain, residuals, rms, condition })
 }
 
 /// The eigenvalues of JᵀJ for derivatives by parameters (columns), scaled to unit length, and their condition number; above

@@ -65,9 +65,9 @@ pub const STAGES: &[Stage] = &[
     },
     Stage {
         name: "calibrate",
-        version: 3,
+        version: 4,
         reads: &["ingest"],
-        settings: &[],
+        settings: &["model.mark_sigma_px", "model.max_rms_px"],
         about: "find lens and camera poses",
     },
     Stage {
@@ -79,7 +79,7 @@ pub const STAGES: &[Stage] = &[
     },
     Stage {
         name: "model",
-        version: 1,
+        version: 2,
         reads: &["ingest", "calibrate", "probe"],
         settings: &["calibrate.thickness_m"],
         about: "fit primitives to the marks",

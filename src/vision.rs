@@ -1,4 +1,4 @@
-//! OpenCV, and nothing but OpenCV: chessboard corners, line segments, markers, lens calibration, poses of a plane, video,
+//! OpenCV, and nothing but OpenCV: chessboard corners, line segments, markers, lens calibration, poses of a plane and of points, video,
 //! and its own merging of exposures, which insitu is measured beside.
 //!
 //! OpenCV counts pixel centres as integers; the shift by half a pixel is made here and nowhere else.
@@ -10,7 +10,7 @@ mod video;
 
 use crate::camera::Intrinsics;
 use crate::image::Image;
-use nalgebra::{Isometry3, Point2, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Point2, Point3, Translation3, UnitQuaternion, Vector3};
 use opencv::core::{Mat, Point2d, Point2f, Point3d, Point3f, Size, TermCriteria, Vector};
 use opencv::prelude::{MatTraitConst, MatTraitConstManual, VectorToVec};
 use opencv::{calib3d, imgproc};
@@ -272,6 +272,34 @@ pub fn planar_poses(view: &BoardView, intrinsics: &Intrinsics) -> Result<Vec<Iso
         }
     }
     Ok(poses)
+}
+
+/// Pose of a camera that sees points, four or more, at pixels: camera from the points' frame (Terzakis and Lourakis, *A Consistently
+/// Fast and Globally Optimal Solution to the Perspective-n-Point Problem*, 2020).
+pub fn pose_of_points(
+    points: &[Point3<f64>],
+    pixels: &[Point2<f64>],
+    intrinsics: &Intrinsics,
+) -> Result<Option<Isometry3<f64>>, Problem> {
+    if points.len() < 4 || points.len() != pixels.len() {
+        return Ok(None);
+    }
+    let points: Vector<Point3d> = points.iter().map(|p| Point3d::new(p.x, p.y, p.z)).collect();
+    let pixels: Vector<Point2d> = pixels.iter().map(|p| Point2d::new(p.x - HALF, p.y - HALF)).collect();
+    let (mut r, mut t) = (Mat::default(), Mat::default());
+    let found = calib3d::solve_pnp(
+        &points,
+        &pixels,
+        &camera_matrix(intrinsics)?,
+        &distortion(intrinsics)?,
+        &mut r,
+        &mut t,
+        false,
+        calib3d::SOLVEPNP_SQPNP,
+    )?;
+    let (r, t) = (Vector3::from_vec(numbers(&r, 3)?), Vector3::from_vec(numbers(&t, 3)?));
+    let sound = found && r.iter().chain(t.iter()).all(|v| v.is_finite());
+    Ok(sound.then(|| Isometry3::from_parts(Translation3::from(t), UnitQuaternion::from_scaled_axis(r))))
 }
 
 fn camera_matrix(i: &Intrinsics) -> Result<Mat, Problem> {

@@ -1,8 +1,10 @@
-//! Stage `calibrate`: photographs of the grid and marked lines to lens and poses.
+//! Stage `calibrate`: photographs of the grid, marked lines and marked primitives to lens and poses.
 
 use insitu::annotations::Annotations;
 use insitu::artefact::json;
+use insitu::calibrate::joint::{self, Scene};
 use insitu::calibrate::{self, Cameras, Evidence, Problem};
+use insitu::camera::SharedCovariance;
 use insitu::config::Role;
 use insitu::error::{Context as _, Error, Result};
 use insitu::exposure::{self, Capture, Photo};
@@ -55,8 +57,22 @@ fn main() -> std::process::ExitCode {
             lines,
             plate: plate_grey.first().map(|(_, image)| image),
         };
-        let found = calibrate::solve(&evidence, settings)
+        let names = |photos: &[&Photo]| photos.iter().map(|p| p.file.clone()).collect::<Vec<_>>();
+        let size = (plate.width_px, plate.height_px);
+        let own_pose = [Role::Plate, Role::Frames];
+        let others = own_pose.iter().flat_map(|role| capture.with_role(*role));
+        let others =
+            others.filter(|p| (p.width_px, p.height_px) == size && here.iter().all(|h| h.file != p.file));
+        let scene = Scene {
+            primitives: &annotations.primitive,
+            ground_y: -settings.thickness_m,
+            settings: &ctx.pipeline.model,
+            here: &names(&here),
+            others: &names(&others.collect::<Vec<_>>()),
+        };
+        let joint = joint::solve(&evidence, settings, &scene)
             .doing(format!("finding lens and pose of {}", plate.file))?;
+        let found = joint.solution;
 
         found.warnings.iter().for_each(|warning| ctx.warn(warning));
         let intrinsics = &found.plate.camera.intrinsics;
@@ -80,9 +96,16 @@ fn main() -> std::process::ExitCode {
             covariance.map(|c| c.rotation_sigma_rad().map(f64::to_degrees)),
         );
 
-        let posed: BTreeMap<_, _> = here.iter().map(|p| (p.file.clone(), found.plate.clone())).collect();
+        ctx.figure("joint_marks", joint.marks);
+        ctx.figure("joint_marks_rms_px", joint.marks_rms_px);
+        ctx.figure("joint_places", 1 + joint.others.len());
+
+        let mut posed: BTreeMap<_, _> = here.iter().map(|p| (p.file.clone(), found.plate.clone())).collect();
+        posed.extend(joint.others);
         let cameras = Cameras::new(plate.file.clone(), posed, found.focal_sigma_px);
-        let cameras = cameras.ok_or_else(|| Error::Bug("the plate has no pose".into()))?;
+        let mut cameras = cameras.ok_or_else(|| Error::Bug("the plate has no pose".into()))?;
+        let alone = || Some(SharedCovariance::of_one(names(&here), found.plate.covariance.as_ref()?));
+        cameras.shared = joint.shared.or_else(alone);
         write(ctx, &cameras)
     })
 }

@@ -7,7 +7,7 @@ use insitu::camera::Camera;
 use insitu::config::{ProbeSource, Role};
 use insitu::error::Context as _;
 use insitu::exposure::Capture;
-use insitu::model::{self, Views, sight::Ball};
+use insitu::model::{self, Fitter, Off, Views, sight::Ball};
 use insitu::probe::ProbeFit;
 use std::collections::BTreeMap;
 
@@ -30,8 +30,13 @@ fn main() -> std::process::ExitCode {
             }
         }
         let views = Views { cameras: &views, ball, ground_y: -ctx.pipeline.calibrate.thickness_m };
-        let scene = model::fit(&annotations.primitive, &views, &ctx.pipeline.model)
-            .doing(format!("fitting the scene to {}", ctx.pipeline.annotations.display()))?;
+        let doing = format!("fitting the scene to {}", ctx.pipeline.annotations.display());
+        let fitter = Fitter::new(&annotations.primitive, &views, &ctx.pipeline.model).doing(doing.clone())?;
+        let mut fitter = fitter.with_cameras_known_to(cameras.shared.as_ref());
+        let scene = fitter.scene().doing(doing)?;
+        for Off { name, corner, image, px, .. } in fitter.outlying() {
+            ctx.warn(format!("the mark `{corner}` of `{name}` in {image} is {px:.1} px off what the others say, and hardly counts"));
+        }
 
         ctx.figure("rms_px", scene.rms_px);
         ctx.figure("faces", scene.faces.len());
@@ -39,6 +44,7 @@ fn main() -> std::process::ExitCode {
             ctx.figure(&format!("{}_rms_px", primitive.name), primitive.rms_px);
             ctx.figure(&format!("{}_size_m", primitive.name), &primitive.size_m);
             ctx.figure(&format!("{}_size_sigma_m", primitive.name), &primitive.size_sigma_m);
+            ctx.figure(&format!("{}_corner_sigma_m", primitive.name), primitive.corner_sigma_m);
         }
         json::write(&ctx.output("scene.json"), &scene)?;
         model::export(ctx, &scene, &cameras, &capture.photos, &[])

@@ -60,6 +60,7 @@ fn scene() -> Scene {
         parent: None,
         size_m: vec![],
         size_sigma_m: vec![],
+        corner_sigma_m: 0.0,
         marks: 0,
         rms_px: 0.0,
     };

@@ -11,6 +11,7 @@ mod gpu;
 mod grids;
 mod growth;
 mod intensity;
+mod joint;
 mod ldr;
 mod light;
 mod methods;

@@ -1,5 +1,5 @@
 //! The scene model: how fast a marked scene is solved, at first and as a mark is dragged, and how far its corners lie from the
-//! true scene's.
+//! true scene's; cameras with and without it are in [`super::joint`].
 
 use super::breakdown::true_workspace_to;
 use super::spread;
@@ -26,7 +26,7 @@ const COUNTS: [usize; 4] = [10, 20, 30, 60];
 /// Moves of a mark for each.
 const DRAGS: usize = 200;
 
-/// Prints both tables; the second for captures that have a truth.
+/// Prints these tables, and that of cameras and primitives in one solution; all but the first for captures that have a truth.
 pub(super) fn print(settings: &[PathBuf], printer: &Printer) -> Result<()> {
     printer.data(
         "\na synthetic room with boxes on boxes, all their corners marked with 1 px of noise; times in ms",
@@ -52,7 +52,7 @@ pub(super) fn print(settings: &[PathBuf], printer: &Printer) -> Result<()> {
             printer.data(&judged(file)?);
         }
     }
-    Ok(())
+    super::joint::print(settings, printer)
 }
 
 fn timed(count: usize) -> Result<String> {
@@ -158,26 +158,7 @@ fn judged(file: &Path) -> Result<String> {
         let scene: Scene = json::read(&workspace.folder("model").join("scene.json"))?;
         let path = workspace.base.join(workspace.pipeline.evaluate.truth.clone().unwrap_or_default());
         let truth = truth_at(&path)?.scene().doing(format!("reading the scene of {}", path.display()))?;
-        let mut errors = Vec::new();
-        for primitive in &scene.primitives {
-            let of = |scene: &Scene, is: &dyn Fn(&str) -> bool| -> Vec<Point3<f64>> {
-                let own = scene.faces.iter().filter(|f| f.name.split('.').next().is_some_and(is));
-                own.flat_map(|f| f.vertices.clone()).collect()
-            };
-            let there = match primitive.kind {
-                Kind::Ground => continue,
-                Kind::Room => of(&truth, &|name| shell(name)),
-                kind if truth.primitives.iter().any(|p| p.name == primitive.name && p.kind == kind) => {
-                    of(&truth, &|name| name == primitive.name)
-                }
-                _ => continue,
-            };
-            for corner in of(&scene, &|name| name == primitive.name) {
-                let nearest = there.iter().map(|t| (t - corner).norm()).fold(f64::INFINITY, f64::min);
-                errors.extend(nearest.is_finite().then(|| (nearest, primitive.name.clone())));
-            }
-        }
-        errors.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let errors = corner_errors(&scene, &truth);
         let longest = extent(&truth);
         let percent = |k: usize| 100.0 * errors.get(k).map_or(f64::NAN, |e| e.0) / longest;
         let worst = errors.len().saturating_sub(1);
@@ -187,13 +168,38 @@ fn judged(file: &Path) -> Result<String> {
     Ok(format!("{line}  {last}"))
 }
 
+/// Distance of each corner of primitives that the truth has, too, from the nearest true corner, m, with their names; the largest last.
+pub(super) fn corner_errors(scene: &Scene, truth: &Scene) -> Vec<(f64, String)> {
+    let mut errors = Vec::new();
+    for primitive in &scene.primitives {
+        let of = |scene: &Scene, is: &dyn Fn(&str) -> bool| -> Vec<Point3<f64>> {
+            let own = scene.faces.iter().filter(|f| f.name.split('.').next().is_some_and(is));
+            own.flat_map(|f| f.vertices.clone()).collect()
+        };
+        let there = match primitive.kind {
+            Kind::Ground => continue,
+            Kind::Room => of(truth, &|name| shell(name)),
+            kind if truth.primitives.iter().any(|p| p.name == primitive.name && p.kind == kind) => {
+                of(truth, &|name| name == primitive.name)
+            }
+            _ => continue,
+        };
+        for corner in of(scene, &|name| name == primitive.name) {
+            let nearest = there.iter().map(|t| (t - corner).norm()).fold(f64::INFINITY, f64::min);
+            errors.extend(nearest.is_finite().then(|| (nearest, primitive.name.clone())));
+        }
+    }
+    errors.sort_by(|a, b| a.0.total_cmp(&b.0));
+    errors
+}
+
 /// What the truth calls the inside of a room.
 fn shell(name: &str) -> bool {
     ["floor", "ceiling", "wall"].iter().any(|part| name.starts_with(part))
 }
 
 /// Longest side of the box around a scene's room; outdoors around all that stands there, m.
-fn extent(scene: &Scene) -> f64 {
+pub(super) fn extent(scene: &Scene) -> f64 {
     let room: Vec<_> = scene.faces.iter().filter(|f| shell(&f.name)).flat_map(|f| &f.vertices).collect();
     let standing = scene.faces.iter().filter(|f| f.name != "ground").flat_map(|f| &f.vertices).collect();
     let corners = if room.is_empty() { standing } else { room };

@@ -33,7 +33,7 @@ fn views(poses: &[([f64; 3], [f64; 3])], sigma: f64, seed: u64) -> Vec<BoardView
     poses.iter().map(&mut view).collect()
 }
 
-const TILTED: [([f64; 3], [f64; 3]); 8] = [
+pub(super) const TILTED: [([f64; 3], [f64; 3]); 8] = [
     ([3.0, 0.1, 0.2], [-0.1, 0.05, 0.7]),
     ([2.5, 0.3, 0.1], [0.1, 0.0, 0.8]),
     ([3.0, 0.2, 1.2], [0.0, 0.1, 0.6]),

@@ -1,8 +1,9 @@
-//! Lens and camera poses, from the printed grid and from marked vanishing lines.
+//! Lens and camera poses, from the printed grid, from marked vanishing lines, and from the marks of the scene's primitives.
 
 pub mod board;
 pub mod bundle;
 pub mod exchange;
+pub mod joint;
 pub mod lens;
 pub mod manhattan;
 pub mod pose;
@@ -10,6 +11,9 @@ pub mod vanishing;
 
 #[cfg(test)]
 mod bundle_tests;
+#[cfg(test)]
+mod joint_tests;
+mod known;
 mod lines;
 #[cfg(test)]
 mod manhattan_tests;
@@ -25,7 +29,7 @@ pub use solve::{Evidence, Solution, solve};
 pub use stage::{export, imported};
 
 use crate::artefact::json::JsonArtefact;
-use crate::camera::{Camera, CameraCovariance, Intrinsics, LensCovariance};
+use crate::camera::{Camera, CameraCovariance, Intrinsics, LensCovariance, SharedCovariance};
 use crate::config;
 use crate::exposure::Photograph;
 use crate::image::{CodeImage, Image, RadianceImage};
@@ -67,11 +71,13 @@ pub struct Cameras {
     pub plate: String,
     /// By file name. Photographs taken from one place have one pose.
     pub cameras: BTreeMap<String, PosedCamera>,
+    /// How well the lens and all poses are known together, where that is known.
+    pub shared: Option<SharedCovariance>,
 }
 
 impl JsonArtefact for Cameras {
     const FORMAT: &'static str = "insitu-cameras";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
 
     fn check(&self) -> Result<(), String> {
         if !self.cameras.contains_key(&self.plate) {
@@ -95,7 +101,7 @@ impl Cameras {
         focal_sigma_px: Option<f64>,
     ) -> Option<Self> {
         let intrinsics = cameras.get(&plate)?.camera.intrinsics.clone();
-        Some(Self { intrinsics, focal_sigma_px, plate, cameras })
+        Some(Self { intrinsics, focal_sigma_px, plate, cameras, shared: None })
     }
 
     /// The camera of the plate, which [`Self::new`] and the reader make sure of.

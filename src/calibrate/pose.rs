@@ -5,7 +5,7 @@ use super::{PosedCamera, Problem, world_from_grid};
 use crate::camera::{self, Camera, CameraCovariance, Intrinsics, LENS, LensCovariance, POSE};
 use crate::least_squares::{self, Fit, Loss};
 use crate::vision::{self, BoardView};
-use nalgebra::{DMatrix, DVector, Isometry3, Point2, Point3, SVector, Vector3};
+use nalgebra::{DMatrix, DVector, Isometry3, Point3, SVector, Vector3};
 
 /// What is seen from one place.
 pub struct View<'a> {
@@ -103,22 +103,42 @@ fn names() -> Vec<String> {
     .to_vec()
 }
 
+/// How far the corners of boards that lie on the grid's plane are off, x and y of each, px; `None` with one behind the camera.
+pub(super) fn corner_errors(boards: &[BoardView], camera: &Camera) -> Option<Vec<f64>> {
+    let mut errors = Vec::new();
+    for (board, pixel) in boards.iter().flat_map(|b| b.board.iter().zip(&b.pixels)) {
+        let e = camera.project(&(world_from_grid() * Point3::new(board.x, board.y, 0.0)))? - pixel;
+        errors.extend([e.x, e.y]);
+    }
+    Some(errors)
+}
+
+/// Root mean square of distances whose x and y follow each other.
+pub(super) fn rms_distance(errors: &[f64]) -> f64 {
+    (2.0 * errors.iter().map(|e| e * e).sum::<f64>() / errors.len().max(1) as f64).sqrt()
+}
+
+/// Residuals of edges in a room turned by `yaw` against the grid, px.
+pub(super) fn edge_errors(edges: &RoomEdges, camera: &Camera, yaw: f64) -> Vec<f64> {
+    let lens = &camera.intrinsics;
+    let ([f, g], [cx, cy]) = (lens.focal_px, lens.principal_point_px);
+    let (sin, cos) = yaw.sin_cos();
+    let room = [Vector3::new(cos, sin, 0.0), Vector3::new(-sin, cos, 0.0), Vector3::z()];
+    let vanishing = room.map(|d| {
+        let d = camera.world_from_camera.inverse() * (world_from_grid() * d);
+        Vector3::new(f * d.x + cx * d.z, g * d.y + cy * d.z, d.z)
+    });
+    let each = edges.along.iter().zip(vanishing);
+    each.flat_map(|(edges, v)| edges.iter().map(move |e| vanishing::edge_residual(&v, e))).collect()
+}
+
 fn fit_from(view: &View, start: Isometry3<f64>) -> Result<(f64, ViewPose), Problem> {
-    let world: Vec<(Point3<f64>, Point2<f64>)> = view
-        .boards
-        .iter()
-        .flat_map(|b| b.board.iter().zip(&b.pixels))
-        .map(|(b, p)| (world_from_grid() * Point3::new(b.x, b.y, 0.0), *p))
-        .collect();
-    let corner_errors = |lens: &Intrinsics, pose: &Isometry3<f64>| -> Option<Vec<f64>> {
-        let camera = Camera { intrinsics: lens.clone(), world_from_camera: *pose };
-        let mut errors = Vec::with_capacity(2 * world.len());
-        for (point, pixel) in &world {
-            let e = camera.project(point)? - pixel;
-            errors.extend([e.x, e.y]);
-        }
-        Some(errors)
+    let posed = |lens: &Intrinsics, pose: &Isometry3<f64>| Camera {
+        intrinsics: lens.clone(),
+        world_from_camera: *pose,
     };
+    let corner_errors =
+        |lens: &Intrinsics, pose: &Isometry3<f64>| corner_errors(view.boards, &posed(lens, pose));
     let alone = |lens: &Intrinsics, x: &DVector<f64>| {
         corner_errors(lens, &moved(&start, x.as_slice())).map(DVector::from_vec)
     };
@@ -128,36 +148,26 @@ fn fit_from(view: &View, start: Isometry3<f64>) -> Result<(f64, ViewPose), Probl
         &[0.0; POSE],
         Loss::Squares,
     )?;
-    let posed = |fit: &Fit, start: &Isometry3<f64>, by_lens: &DMatrix<f64>| -> Option<PosedCamera> {
+    let solved = |fit: &Fit, start: &Isometry3<f64>, by_lens: &DMatrix<f64>| -> Option<PosedCamera> {
         let world_from_camera = moved(start, &fit.parameters.as_slice()[..POSE]);
         let errors = corner_errors(view.intrinsics, &world_from_camera)?;
-        let rms_px = (errors.iter().map(|e| e * e).sum::<f64>() / world.len() as f64).sqrt();
         Some(PosedCamera {
-            camera: Camera { intrinsics: view.intrinsics.clone(), world_from_camera },
-            rms_px,
+            camera: posed(view.intrinsics, &world_from_camera),
+            rms_px: rms_distance(&errors),
             covariance: Some(covariance(fit, by_lens, view.lens_covariance)),
             rival_rms_px: None,
         })
     };
     let Some((edges, edge_sigma)) = view.edges else {
         let by_lens = by_lens(view.intrinsics, |lens| alone(lens, &grid_fit.parameters));
-        let posed = by_lens.and_then(|by| posed(&grid_fit, &start, &by)).ok_or(Problem::NoPose)?;
+        let posed = by_lens.and_then(|by| solved(&grid_fit, &start, &by)).ok_or(Problem::NoPose)?;
         return Ok((grid_fit.cost(), ViewPose { posed, room_yaw: None, edge_rms_px: None }));
     };
 
     let start = moved(&start, grid_fit.parameters.as_slice());
     let corner_sigma = view.corner_sigma_px.max(grid_fit.rms);
-    let edge_errors = |lens: &Intrinsics, pose: &Isometry3<f64>, yaw: f64| -> Vec<f64> {
-        let ([f, g], [cx, cy]) = (lens.focal_px, lens.principal_point_px);
-        let (sin, cos) = yaw.sin_cos();
-        let room = [Vector3::new(cos, sin, 0.0), Vector3::new(-sin, cos, 0.0), Vector3::z()];
-        let vanishing = room.map(|d| {
-            let d = pose.inverse() * (world_from_grid() * d);
-            Vector3::new(f * d.x + cx * d.z, g * d.y + cy * d.z, d.z)
-        });
-        let each = edges.along.iter().zip(vanishing);
-        each.flat_map(|(edges, v)| edges.iter().map(move |e| vanishing::edge_residual(&v, e))).collect()
-    };
+    let edge_errors =
+        |lens: &Intrinsics, pose: &Isometry3<f64>, yaw: f64| edge_errors(edges, &posed(lens, pose), yaw);
     // Huber's cost of the edges alone finds the room's turn; the directions have no sign.
     let cost = |yaw: f64| -> f64 {
         let errors = edge_errors(view.intrinsics, &start, yaw);
@@ -180,8 +190,11 @@ fn fit_from(view: &View, start: Isometry3<f64>) -> Result<(f64, ViewPose), Probl
         Loss::Huber(vanishing::ROBUST),
     )?;
     let by_lens = by_lens(view.intrinsics, |lens| residuals(lens, &fit.parameters));
-    let posed = by_lens.and_then(|by| posed(&fit, &start, &by)).ok_or(Problem::NoPose)?;
-    let errors = edge_errors(view.intrinsics, &posed.camera.world_from_camera, fit.parameters[POSE]);
+    let found = by_lens.and_then(|by| solved(&fit, &start, &by)).ok_or(Problem::NoPose)?;
+    let errors = edge_errors(view.intrinsics, &found.camera.world_from_camera, fit.parameters[POSE]);
     let edge_rms_px = (errors.iter().map(|e| e * e).sum::<f64>() / errors.len().max(1) as f64).sqrt();
-    Ok((fit.cost(), ViewPose { posed, room_yaw: Some(fit.parameters[POSE]), edge_rms_px: Some(edge_rms_px) }))
+    Ok((
+        fit.cost(),
+        ViewPose { posed: found, room_yaw: Some(fit.parameters[POSE]), edge_rms_px: Some(edge_rms_px) },
+    ))
 }

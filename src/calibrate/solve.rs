@@ -45,6 +45,19 @@ pub struct Solution {
     pub edge_rms_px: Option<f64>,
     /// What was done in spite of a defect.
     pub warnings: Vec<String>,
+    /// What the pose was found from.
+    pub(super) used: Used,
+}
+
+/// Evidence of the plate's pose.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Used {
+    /// Boards seen from the plate's place; none where the pose comes from lines.
+    pub boards: Vec<BoardView>,
+    /// Turn of the room's x direction against the grid's, rad, where marked lines and boards were fitted together.
+    pub room_yaw: Option<f64>,
+    /// Why the lines alone would be refused.
+    pub open: Option<Problem>,
 }
 
 /// Distortion of fewer standard deviations is taken as none.
@@ -54,6 +67,15 @@ const MAX_EDGE_SIGMA: f64 = 6.0;
 
 /// Finds the lens, then the plate's pose.
 pub fn solve(evidence: &Evidence, settings: &config::Calibrate) -> Result<Solution, Problem> {
+    start(evidence, settings, false)
+}
+
+/// The same; where marked lines leave the focal length `open`, what they say of it all the same.
+pub(super) fn start(
+    evidence: &Evidence,
+    settings: &config::Calibrate,
+    open: bool,
+) -> Result<Solution, Problem> {
     board::check(settings)?;
     let mut warnings = Vec::new();
     let lens = fit_lens(evidence, settings, &mut warnings);
@@ -79,12 +101,13 @@ pub fn solve(evidence: &Evidence, settings: &config::Calibrate) -> Result<Soluti
     });
     let asked = Inner { principal_point: settings.solve_principal_point, distortion: settings.plumb_lines };
     let mut insignificant = None;
+    let mut used = Used::default();
     let edge_fit = marked.as_ref().map(|edges| {
         let stated = stated.filter(|_| lens.is_err());
         let sigma_px = settings.mark_sigma_px;
         // A lens from the grid needs no more.
         let inner = if lens.is_ok() { Inner::default() } else { asked };
-        let mut fit = vanishing::fit_edges(edges, centre, diagonal, sigma_px, stated, inner)?;
+        let mut fit = vanishing::fit_open(edges, centre, diagonal, sigma_px, stated, inner)?;
         if inner.distortion && fit.k1.abs() < SIGNIFICANT * fit.k1_sigma() {
             insignificant = Some(format!(
                 "the lines show no distortion that is significant: k1 = {:.3} ± {:.3} is taken as 0",
@@ -92,7 +115,13 @@ pub fn solve(evidence: &Evidence, settings: &config::Calibrate) -> Result<Soluti
                 fit.k1_sigma()
             ));
             let inner = Inner { distortion: false, ..inner };
-            fit = vanishing::fit_edges(edges, centre, diagonal, sigma_px, stated, inner)?;
+            fit = vanishing::fit_open(edges, centre, diagonal, sigma_px, stated, inner)?;
+        }
+        if let Err(problem) = fit.clone().certain() {
+            if !open || lens.is_ok() {
+                return Err(problem);
+            }
+            used.open = Some(problem);
         }
         let limit_px = MAX_EDGE_SIGMA * settings.mark_sigma_px;
         if fit.rms_px > limit_px {
@@ -173,7 +202,10 @@ pub fn solve(evidence: &Evidence, settings: &config::Calibrate) -> Result<Soluti
                         Some(lens) => lens.fit.covariance,
                         None => focal_alone(alone.unwrap_or(0.0)),
                     };
-                    let found = from_grid(&boards?, &intrinsics, &of_lens, lens.as_ref(), edges, settings)?;
+                    used.boards = boards?;
+                    let found =
+                        from_grid(&used.boards, &intrinsics, &of_lens, lens.as_ref(), edges, settings)?;
+                    used.room_yaw = found.room_yaw;
                     (found.posed, found.edge_rms_px)
                 }
             }
@@ -188,7 +220,7 @@ pub fn solve(evidence: &Evidence, settings: &config::Calibrate) -> Result<Soluti
     if let Some(rms) = edge_rms_px.filter(|rms| *rms > 3.0 * settings.mark_sigma_px) {
         warnings.push(format!("grid and vanishing lines disagree: the lines are {rms:.1} px off (rms)"));
     }
-    Ok(Solution { plate, focal_source, focal_sigma_px, lens, edges: edge_fit, edge_rms_px, warnings })
+    Ok(Solution { plate, focal_source, focal_sigma_px, lens, edges: edge_fit, edge_rms_px, warnings, used })
 }
 
 /// Whether anything but a grid can say where the camera is.
@@ -213,7 +245,7 @@ fn search(
 }
 
 /// The focal length of EXIF or settings with its accuracy.
-fn stated_focal(evidence: &Evidence, settings: &config::Calibrate) -> Option<StatedFocal> {
+pub(super) fn stated_focal(evidence: &Evidence, settings: &config::Calibrate) -> Option<StatedFocal> {
     let relative_sigma = settings.stated_focal_sigma;
     let focal_px = evidence.stated_focal_px.filter(|_| relative_sigma.is_finite() && relative_sigma > 0.0)?;
     Some(StatedFocal { focal_px, relative_sigma })

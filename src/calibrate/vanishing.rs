@@ -19,7 +19,7 @@ pub struct RoomEdges {
 /// A vanishing point further away than this many image diagonals counts as infinitely far.
 const FAR: f64 = 50.0;
 /// A focal length less certain than this is refused …
-const MAX_RELATIVE_SIGMA: f64 = 0.1;
+pub(super) const MAX_RELATIVE_SIGMA: f64 = 0.1;
 /// … and one that walls half a degree off the right angle would change by 9 %.
 const MAX_CONDITION: f64 = 10.0;
 /// A principal point less certain than this, in image diagonals, is refused.
@@ -174,6 +174,18 @@ pub fn fit_edges(
     stated: Option<StatedFocal>,
     inner: Inner,
 ) -> Result<EdgeFit, Problem> {
+    fit_open(edges, centre, diagonal_px, sigma_px, stated, inner)?.certain()
+}
+
+/// As [`fit_edges`], of a focal length that the edges may leave open.
+pub fn fit_open(
+    edges: &RoomEdges,
+    centre: Point2<f64>,
+    diagonal_px: f64,
+    sigma_px: f64,
+    stated: Option<StatedFocal>,
+    inner: Inner,
+) -> Result<EdgeFit, Problem> {
     let mut points = [None; 3];
     for (k, edges) in edges.along.iter().enumerate() {
         if edges.len() >= 2 {
@@ -191,7 +203,7 @@ pub fn fit_edges(
     let camera_from_room = orientation(&points, &edges.along, centre, diagonal_px, focal_px)?;
     let weighed = edges.along.each_ref().map(|edges| edges.iter().map(|e| (*e, 1.0 / sigma_px)).collect());
     let fit = Weighed { along: weighed, square_sigma: EXACTLY_SQUARE, loss: Loss::Huber(ROBUST), inner };
-    let fit = fit.fit(Room { focal_px, camera_from_room }, centre, stated)?.certain()?;
+    let fit = fit.fit(Room { focal_px, camera_from_room }, centre, stated)?;
     let (sigma_px, limit_px) = (fit.centre_sigma_px(), MAX_CENTRE_SIGMA * diagonal_px);
     if sigma_px > limit_px { Err(Problem::CentreOpen { sigma_px, limit_px }) } else { Ok(fit) }
 }

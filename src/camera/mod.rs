@@ -4,7 +4,7 @@ mod derivatives;
 mod uncertainty;
 
 pub use derivatives::{LENS, POSE, Projected, moved};
-pub use uncertainty::{CameraCovariance, LensCovariance, focal_alone};
+pub use uncertainty::{CameraCovariance, LensCovariance, SharedCovariance, focal_alone};
 
 use nalgebra::{Isometry3, Point2, Point3, Unit, Vector3};
 use serde::{Deserialize, Serialize};

@@ -4,6 +4,7 @@ use super::derivatives::{LENS, POSE};
 use super::{Camera, Intrinsics};
 use nalgebra::{DMatrix, Matrix2, Point3, SMatrix};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// Covariance of a lens' parameters, in the order of [`LENS`].
 pub type LensCovariance = SMatrix<f64, LENS, LENS>;
@@ -47,6 +48,34 @@ impl CameraCovariance {
     /// Standard deviation of that pixel in the direction in which it is known worst, px.
     pub fn pixel_sigma_px(&self, camera: &Camera, point: &Point3<f64>) -> Option<f64> {
         Some(self.of_pixel(camera, point)?.symmetric_eigenvalues().max().max(0.0).sqrt())
+    }
+}
+
+/// Covariance of cameras that share a lens: the lens' parameters, then those of each place's pose.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SharedCovariance {
+    /// Photographs by the place they were taken from.
+    pub places: BTreeMap<String, usize>,
+    /// Of [`LENS`] parameters, then [`POSE`] for each place.
+    pub covariance: DMatrix<f64>,
+}
+
+impl SharedCovariance {
+    /// Of photographs from one place.
+    pub fn of_one(files: impl IntoIterator<Item = String>, camera: &CameraCovariance) -> Self {
+        let covariance = DMatrix::from_fn(LENS + POSE, LENS + POSE, |i, j| camera.0[(i, j)]);
+        Self { places: files.into_iter().map(|f| (f, 0)).collect(), covariance }
+    }
+
+    /// Where the pose of a place stands in it.
+    pub fn pose(place: usize) -> usize {
+        LENS + POSE * place
+    }
+
+    /// Of one place's camera.
+    pub fn camera(&self, place: usize) -> CameraCovariance {
+        let at = |k: usize| if k < LENS { k } else { Self::pose(place) + k - LENS };
+        CameraCovariance(SMatrix::from_fn(|i, j| self.covariance[(at(i), at(j))]))
     }
 }
 

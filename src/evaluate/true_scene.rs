@@ -145,6 +145,7 @@ impl Truth {
                 parent: None,
                 size_sigma_m: vec![0.0; size.len()],
                 size_m: size,
+                corner_sigma_m: 0.0,
                 marks: 0,
                 rms_px: 0.0,
             });

@@ -1,16 +1,20 @@
 //! All primitives fitted to all marks at once (tutorial §3).
 
 use super::guess::first_guess;
+use super::placed::Placed;
 use super::sight::{self, Miss};
-use super::tree::{Tree, Values, Views, sight};
+use super::tree::{Off, Tree, Values, Views, sight};
 use super::{FittedPrimitive, Problem, Scene, faces, parameters};
 use crate::annotations::Primitive;
+use crate::camera::{LENS, POSE, SharedCovariance, moved};
 use crate::config;
 use crate::least_squares::{self, Fit, Loss};
-use nalgebra::DVector;
+use nalgebra::{DMatrix, DVector, Matrix3, Point3, SVector, Vector3};
 
 /// Smallest extent that a primitive may have, m.
 const MIN_EXTENT_M: f64 = 1e-3;
+/// A mark counts less from so many of its standard deviations on, and is named from twice as many on.
+const ROBUST: f64 = 3.0;
 /// Steps after a mark has moved, at most.
 const DRAG_STEPS: usize = 12;
 
@@ -24,6 +28,7 @@ pub struct Fitter<'a> {
     tree: Tree<'a>,
     views: Views<'a>,
     settings: &'a config::Model,
+    shared: Option<&'a SharedCovariance>,
     x: DVector<f64>,
 }
 
@@ -37,7 +42,12 @@ impl<'a> Fitter<'a> {
         let tree = Tree::new(primitives, views, settings.mark_sigma_px)?;
         let values = first_guess(&tree)?;
         let x = DVector::from_vec(tree.free_of(&values));
-        Ok(Self { tree, views: *views, settings, x })
+        Ok(Self { tree, views: *views, settings, shared: None, x })
+    }
+
+    /// Counts the errors of cameras among those of the scene.
+    pub fn with_cameras_known_to(self, shared: Option<&'a SharedCovariance>) -> Self {
+        Self { shared, ..self }
     }
 
     /// How many parameters are fitted.
@@ -48,7 +58,7 @@ impl<'a> Fitter<'a> {
     /// The fit from some values, with what it is worth.
     fn solved(&self, values: &Values) -> Result<Fit, Problem> {
         let start = self.tree.free_of(values);
-        match least_squares::minimise(&self.tree, &self.tree.names(), &start, Loss::Squares) {
+        match least_squares::minimise(&self.tree, &self.tree.names(), &start, Loss::Huber(ROBUST)) {
             // Marks that contradict each other can also keep a fit from settling; that is then the better message.
             Err(e @ least_squares::Problem::NotConverged { .. }) => {
                 self.check_agreement(values)?;
@@ -87,10 +97,13 @@ impl<'a> Fitter<'a> {
         let tree = &self.tree;
         let values = tree.values(fit.parameters.as_slice());
         self.check_agreement(&values)?;
+        let covariance = self.covariance(&fit);
         let sigma = |i: usize, k: usize| {
             let (i, k) = self.source(i, k);
-            tree.free.iter().position(|f| *f == (i, k)).map_or(0.0, |f| fit.sigma(f))
+            let free = tree.free.iter().position(|f| *f == (i, k));
+            free.map_or(0.0, |f| covariance[(f, f)].max(0.0).sqrt())
         };
+        let corner_sigmas = self.corner_sigmas(&values, &covariance)?;
         let misses = tree.all_misses(&values).ok_or(least_squares::Problem::Start)?;
         let placed = tree.place(&values)?;
         let rms_px = sight::rms_px(&misses.concat());
@@ -108,12 +121,108 @@ impl<'a> Fitter<'a> {
                 parent: primitive.parent.clone(),
                 size_m: extents.clone().map(|k| values[i][k]).collect(),
                 size_sigma_m: extents.map(|k| sigma(i, k)).collect(),
+                corner_sigma_m: corner_sigmas[i],
                 marks: node.sights.len(),
                 rms_px: sight::rms_px(&misses[i]),
             });
             scene.faces.extend(faces::faces(primitive, &placed[i], &values[i])?);
         }
         Ok(scene)
+    }
+
+    /// Marks that the scene as it stands contradicts, so that they hardly count.
+    pub fn outlying(&self) -> Vec<Off> {
+        let misses = self.tree.all_misses(&self.tree.values(self.x.as_slice()));
+        let off = misses.map_or(Vec::new(), |misses| self.tree.off(&misses));
+        off.into_iter().filter(|o| o.sigmas > 2.0 * ROBUST).collect()
+    }
+
+    /// Covariance of the free parameters: of the marks, and, by how the fit follows them, of the cameras.
+    fn covariance(&self, fit: &Fit) -> DMatrix<f64> {
+        let by_cameras =
+            self.shared.and_then(|shared| Some((shared, self.by_cameras(&fit.parameters, shared)?)));
+        match by_cameras {
+            None => fit.covariance.clone(),
+            Some((shared, by_cameras)) => {
+                let follows = &fit.gain * by_cameras;
+                &fit.covariance + &follows * &shared.covariance * follows.transpose()
+            }
+        }
+    }
+
+    /// Derivatives of the residuals by lens and poses, in the order of their covariance.
+    fn by_cameras(&self, x: &DVector<f64>, shared: &SharedCovariance) -> Option<DMatrix<f64>> {
+        let rows = |k: usize, h: f64| {
+            let mut cameras = self.views.cameras.clone();
+            for (file, place) in &shared.places {
+                let Some(camera) = cameras.get_mut(file) else { continue };
+                let pose = SharedCovariance::pose(*place);
+                if k < LENS {
+                    camera.intrinsics = camera.intrinsics.changed(&SVector::<f64, LENS>::ith(k, h));
+                } else if (pose..pose + POSE).contains(&k) {
+                    let by = SVector::<f64, POSE>::ith(k - pose, h);
+                    camera.world_from_camera = moved(&camera.world_from_camera, &by);
+                }
+            }
+            let sights = self.tree.sights_by(&cameras)?;
+            let sights: Vec<_> = sights.iter().map(|s| &s[..]).collect();
+            Some(DVector::from_vec(self.tree.all_rows(x.as_slice(), &sights)?.concat()))
+        };
+        let column = |k: usize| {
+            // Pixels of the lens; distortion, metres and radians.
+            let h = if k < 4 { 1e-3 } else { 1e-6 };
+            Some((rows(k, h)? - rows(k, -h)?) / (2.0 * h))
+        };
+        let columns: Option<Vec<_>> = (0..shared.covariance.nrows()).map(column).collect();
+        Some(DMatrix::from_columns(&columns?))
+    }
+
+    /// Standard deviation of each primitive's worst corner, m.
+    fn corner_sigmas(&self, values: &Values, covariance: &DMatrix<f64>) -> Result<Vec<f64>, Problem> {
+        let tree = &self.tree;
+        let mut values = values.clone();
+        let mut placed = tree.place(&values)?;
+        let corners = |i: usize, placed: &Placed, values: &Values| -> Result<Vec<Point3<f64>>, Problem> {
+            let faces = faces::faces(tree.nodes[i].primitive, placed, &values[i])?;
+            Ok(faces.into_iter().flat_map(|f| f.vertices).collect())
+        };
+        // Per primitive for each parameter that it depends on, in their order.
+        let mut slopes: Vec<Vec<Vec<Vector3<f64>>>> = vec![Vec::new(); placed.len()];
+        for &(i, k) in &tree.free {
+            let affected = &tree.affected[i];
+            let kept: Vec<Placed> = affected.iter().map(|&j| placed[j].clone()).collect();
+            let value = values[i][k];
+            let h = f64::EPSILON.cbrt() * value.abs().max(1.0);
+            let mut sides = Vec::with_capacity(2);
+            for moved in [value + h, value - h] {
+                values[i][k] = moved;
+                let mut side = Vec::with_capacity(affected.len());
+                for &j in affected {
+                    tree.tie(j, &mut values);
+                    placed[j] = tree.place_one(j, &values, &placed)?;
+                    side.push(corners(j, &placed[j], &values)?);
+                }
+                sides.push(side);
+            }
+            values[i][k] = value;
+            for (n, (&j, kept)) in affected.iter().zip(kept).enumerate() {
+                tree.tie(j, &mut values);
+                placed[j] = kept;
+                let both = sides[0][n].iter().zip(&sides[1][n]);
+                slopes[j].push(both.map(|(up, down)| (up - down) / (2.0 * h)).collect());
+            }
+        }
+        let worst = |(slopes, depends): (&Vec<Vec<Vector3<f64>>>, &Vec<usize>)| {
+            let own =
+                DMatrix::from_fn(depends.len(), depends.len(), |a, b| covariance[(depends[a], depends[b])]);
+            let of_corner = |corner: usize| {
+                let by_own = DMatrix::from_fn(3, depends.len(), |i, k| slopes[k][corner][i]);
+                let own = &by_own * &own * by_own.transpose();
+                Matrix3::from_fn(|i, j| own[(i, j)]).symmetric_eigenvalues().max().max(0.0).sqrt()
+            };
+            (0..slopes.first().map_or(0, Vec::len)).map(of_corner).fold(0.0, f64::max)
+        };
+        Ok(slopes.iter().zip(&tree.depends).map(worst).collect())
     }
 
     /// The parameter whose value it is.

@@ -12,6 +12,7 @@ mod fit;
 #[cfg(test)]
 mod graph_tests;
 mod guess;
+mod marked;
 mod parameters;
 mod placed;
 mod problem;
@@ -22,8 +23,9 @@ mod tree;
 pub use export::export;
 pub use face::Face;
 pub use fit::{Fitter, fit};
+pub use marked::{Block, Marked};
 pub use problem::Problem;
-pub use tree::Views;
+pub use tree::{Off, Views};
 
 use crate::annotations::Kind;
 use crate::artefact::json::JsonArtefact;
@@ -42,6 +44,9 @@ pub struct FittedPrimitive {
     pub size_m: Vec<f64>,
     /// Standard deviations of these; 0 for what was given.
     pub size_sigma_m: Vec<f64>,
+    /// Standard deviation of the corner that is known worst, in the direction in which it is, m; the camera's errors are in it where
+    /// these are known.
+    pub corner_sigma_m: f64,
     /// How many marks it has.
     pub marks: usize,
     /// Distance of its corners from their marks, rms in px.
@@ -61,5 +66,5 @@ pub struct Scene {
 
 impl JsonArtefact for Scene {
     const FORMAT: &'static str = "insitu-scene";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
 }

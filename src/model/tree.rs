@@ -22,6 +22,21 @@ pub struct Views<'a> {
     pub ground_y: f64,
 }
 
+/// A mark that is off.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Off {
+    /// The primitive.
+    pub name: String,
+    /// The corner or edge.
+    pub corner: String,
+    /// The photograph.
+    pub image: String,
+    /// How far it is off, px.
+    pub px: f64,
+    /// The same in standard deviations of the mark.
+    pub sigmas: f64,
+}
+
 /// A primitive, and by number what its place depends on.
 pub(super) struct Node<'a> {
     pub primitive: &'a Primitive,
@@ -57,7 +72,7 @@ pub(super) struct Tree<'a> {
     /// For each primitive those whose place or size changes with it, itself first.
     pub affected: Vec<Vec<usize>>,
     /// For each primitive the free parameters that it depends on.
-    depends: Vec<Vec<usize>>,
+    pub depends: Vec<Vec<usize>>,
 }
 
 impl<'a> Tree<'a> {
@@ -113,7 +128,8 @@ impl<'a> Tree<'a> {
         Ok(Self::linked(nodes, views.ground_y))
     }
 
-    fn linked(nodes: Vec<Node<'a>>, ground_y: f64) -> Self {
+    /// Of primitives in such an order.
+    pub fn linked(nodes: Vec<Node<'a>>, ground_y: f64) -> Self {
         let is_free = |p: &Parameter| matches!(p, Parameter::Free);
         let of_node = |i: usize| {
             let all = nodes[i].parameters.iter().enumerate();
@@ -196,13 +212,46 @@ impl<'a> Tree<'a> {
         Ok(placed)
     }
 
+    /// What sees the marks, by primitive.
+    pub fn sights(&self) -> Vec<&[Sight<'a>]> {
+        self.nodes.iter().map(|n| &n.sights[..]).collect()
+    }
+
+    /// The same were the cameras others; the ball stays as it was seen. `None` where one is missing.
+    pub fn sights_by<'c>(&self, cameras: &'c BTreeMap<String, Camera>) -> Option<Vec<Vec<Sight<'c>>>>
+    where
+        'a: 'c,
+    {
+        let seen = |(mark, sight): (&Mark, &Sight<'a>)| -> Option<Sight<'c>> {
+            match sight {
+                Sight::Direct { pixel, .. } => {
+                    Some(Sight::Direct { camera: cameras.get(&mark.image)?, pixel: *pixel })
+                }
+                reflected => Some(reflected.clone()),
+            }
+        };
+        let of_node = |n: &Node<'a>| n.primitive.marks.iter().zip(&n.sights).map(seen).collect();
+        self.nodes.iter().map(of_node).collect()
+    }
+
     /// How far the marks of a primitive are off; `None` with one behind its camera.
     pub fn misses(&self, i: usize, values: &Values, placed: &Placed) -> Option<Vec<Miss>> {
+        self.misses_of(i, values, placed, &self.nodes[i].sights)
+    }
+
+    /// The same for what else may see them.
+    pub fn misses_of(
+        &self,
+        i: usize,
+        values: &Values,
+        placed: &Placed,
+        sights: &[Sight],
+    ) -> Option<Vec<Miss>> {
         let node = &self.nodes[i];
         let miss = |(mark, sight): (&Mark, &Sight)| {
             sight.miss(&feature(node.primitive, placed, &values[i], &mark.corner)?)
         };
-        node.primitive.marks.iter().zip(&node.sights).map(miss).collect()
+        node.primitive.marks.iter().zip(sights).map(miss).collect()
     }
 
     /// The same of all primitives.
@@ -211,10 +260,27 @@ impl<'a> Tree<'a> {
         (0..self.nodes.len()).map(|i| self.misses(i, values, &placed[i])).collect()
     }
 
-    /// Weighted residuals of a primitive's marks.
-    fn rows(&self, i: usize, values: &Values, placed: &Placed) -> Option<Vec<f64>> {
+    /// The same by mark, in words.
+    pub fn off(&self, misses: &[Vec<Miss>]) -> Vec<Off> {
+        let of_node = |(node, misses): (&Node, &Vec<Miss>)| {
+            let marks = node.primitive.marks.iter().zip(&node.weights).zip(misses);
+            let off = |((mark, weight), miss): ((&Mark, &f64), &Miss)| Off {
+                name: node.primitive.name.clone(),
+                corner: mark.corner.clone(),
+                image: mark.image.clone(),
+                px: miss.length(),
+                sigmas: miss.length() * weight,
+            };
+            marks.map(off).collect::<Vec<_>>()
+        };
+        self.nodes.iter().zip(misses).flat_map(of_node).collect()
+    }
+
+    /// Weighted residuals of a primitive's marks, as they are seen.
+    fn rows(&self, i: usize, values: &Values, placed: &Placed, sights: &[Sight]) -> Option<Vec<f64>> {
         let mut rows = Vec::new();
-        for (miss, weight) in self.misses(i, values, placed)?.iter().zip(&self.nodes[i].weights) {
+        let misses = self.misses_of(i, values, placed, sights)?;
+        for (miss, weight) in misses.iter().zip(&self.nodes[i].weights) {
             let from = rows.len();
             miss.push(&mut rows);
             rows[from..].iter_mut().for_each(|r| *r *= weight);
@@ -222,13 +288,21 @@ impl<'a> Tree<'a> {
         Some(rows)
     }
 
+    /// Weighted residuals of all marks, by primitive.
+    pub fn all_rows(&self, x: &[f64], sights: &[&[Sight]]) -> Option<Vec<Vec<f64>>> {
+        let values = self.values(x);
+        let placed = self.place(&values).ok()?;
+        let each = placed.iter().zip(sights).enumerate();
+        each.map(|(i, (placed, sights))| self.rows(i, &values, placed, sights)).collect()
+    }
+
     /// For each primitive its residuals and their derivatives by the parameters that it depends on.
-    fn blocks(&self, x: &DVector<f64>) -> Option<Vec<(Vec<f64>, DMatrix<f64>)>> {
-        let mut values = self.values(x.as_slice());
+    pub fn blocks(&self, x: &[f64], sights: &[&[Sight]]) -> Option<Vec<(Vec<f64>, DMatrix<f64>)>> {
+        let mut values = self.values(x);
         let mut placed = self.place(&values).ok()?;
         let mut blocks = Vec::with_capacity(self.nodes.len());
         for (i, (placed, columns)) in placed.iter().zip(&self.depends).enumerate() {
-            let rows = self.rows(i, &values, placed)?;
+            let rows = self.rows(i, &values, placed, sights[i])?;
             let derivatives = DMatrix::zeros(rows.len(), columns.len());
             blocks.push((rows, derivatives));
         }
@@ -245,7 +319,7 @@ impl<'a> Tree<'a> {
                 for &j in affected {
                     self.tie(j, &mut values);
                     placed[j] = self.place_one(j, &values, &placed).ok()?;
-                    side.push(self.rows(j, &values, &placed[j])?);
+                    side.push(self.rows(j, &values, &placed[j], sights[j])?);
                 }
                 sides.push(side);
             }
@@ -268,17 +342,11 @@ impl<'a> Tree<'a> {
 
 impl Residuals for Tree<'_> {
     fn residuals(&self, x: &DVector<f64>) -> Option<DVector<f64>> {
-        let values = self.values(x.as_slice());
-        let placed = self.place(&values).ok()?;
-        let mut rows = Vec::new();
-        for (i, placed) in placed.iter().enumerate() {
-            rows.extend(self.rows(i, &values, placed)?);
-        }
-        Some(DVector::from_vec(rows))
+        Some(DVector::from_vec(self.all_rows(x.as_slice(), &self.sights())?.concat()))
     }
 
     fn jacobian(&self, x: &DVector<f64>) -> Option<DMatrix<f64>> {
-        let blocks = self.blocks(x)?;
+        let blocks = self.blocks(x.as_slice(), &self.sights())?;
         let mut jacobian = DMatrix::zeros(blocks.iter().map(|b| b.0.len()).sum(), x.len());
         let mut from = 0;
         for ((rows, derivatives), columns) in blocks.iter().zip(&self.depends) {
@@ -292,7 +360,8 @@ impl Residuals for Tree<'_> {
 
     fn normal_equations(&self, x: &DVector<f64>) -> Option<NormalEquations> {
         let mut equations = NormalEquations::zero(x.len());
-        for ((rows, derivatives), columns) in self.blocks(x)?.iter().zip(&self.depends) {
+        let blocks = self.blocks(x.as_slice(), &self.sights())?;
+        for ((rows, derivatives), columns) in blocks.iter().zip(&self.depends) {
             equations.add(&DVector::from_column_slice(rows), derivatives, columns);
         }
         Some(equations)

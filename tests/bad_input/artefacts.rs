@@ -32,7 +32,7 @@ fn artefacts_are_refused_with_file_and_cure() {
         ),
         case(
             "scene.json cut short",
-            &[Write("work/model/scene.json", r#"{ "format": "insitu-scene", "version": 1, "faces": ["#)],
+            &[Write("work/model/scene.json", r#"{ "format": "insitu-scene", "version": 2, "faces": ["#)],
             "illuminate",
             1,
             "reading insitu-scene: ./work/model/scene.json: damaged or cut short (EOF while parsing a list at line 1 column 52)",
@@ -40,10 +40,10 @@ fn artefacts_are_refused_with_file_and_cure() {
         ),
         case(
             "another schema version",
-            &[Swap("work/calibrate/cameras.json", "\"version\": 2", "\"version\": 99")],
+            &[Swap("work/calibrate/cameras.json", "\"version\": 3", "\"version\": 99")],
             "transfer",
             1,
-            "reading insitu-cameras: ./work/calibrate/cameras.json: has schema version 99, this insitu reads 2",
+            "reading insitu-cameras: ./work/calibrate/cameras.json: has schema version 99, this insitu reads 3",
             "run `insitu run --force --from calibrate`",
         ),
         case(
