@@ -240,6 +240,15 @@ pub struct Primitive {
     pub marks: Vec<Mark>,
 }
 
+impl Primitive {
+    /// Names of others on which its place or size depends.
+    pub fn references(&self) -> Vec<&String> {
+        let mirror = self.mirror.iter().flat_map(|m| [&m.of, &m.about]);
+        let others = [&self.parent, &self.parallel_to, &self.same_size];
+        others.into_iter().flatten().chain(mirror).collect()
+    }
+}
+
 /// A corner seen in a photograph.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

@@ -20,7 +20,6 @@ use crate::probe::ProbeFit;
 use crate::stage::Workspace;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
 
 /// Prints the table.
 pub(super) fn print(settings: &[PathBuf], printer: &Printer) -> Result<()> {
@@ -28,10 +27,10 @@ pub(super) fn print(settings: &[PathBuf], printer: &Printer) -> Result<()> {
         "\ncameras found before the primitives (alone) and together with them (joint); errors of the plate's focal length (%), position (%",
     );
     printer.data(
-        "of its distance) and direction (°), of those of a further photograph without grid; corners as above; time to find them, ms",
+        "of its distance) and direction (°), of those of a further photograph without grid; corners as above",
     );
     printer.data(&format!(
-        "{:<12}{:<8}{:<8}{:>8}{:>10}{:>10}{:>12}{:>8}{:>18}{:>8}{:>8}",
+        "{:<12}{:<8}{:<8}{:>8}{:>10}{:>10}{:>12}{:>8}{:>18}{:>8}",
         "capture",
         "lens",
         "cameras",
@@ -41,8 +40,7 @@ pub(super) fn print(settings: &[PathBuf], printer: &Printer) -> Result<()> {
         "further",
         "",
         "corners, worst",
-        "median",
-        "ms"
+        "median"
     ));
     for file in settings {
         let own = file.file_name().is_some_and(|n| n == "pipeline.toml");
@@ -93,9 +91,7 @@ fn capture(file: &Path, printer: &Printer) -> Result<()> {
                 plate: None,
             };
             let settings = config::Calibrate { joint: together, ..workspace.pipeline.calibrate.clone() };
-            let started = Instant::now();
             let found = joint::solve(&evidence, &settings, &scene).doing("finding cameras")?;
-            let ms = started.elapsed().as_secs_f64() * 1e3;
             let [focal, position, rotation] =
                 errors(&found.solution.plate.camera, &truth.camera(&plate.file).doing(doing())?);
             let further = match found.others.iter().next() {
@@ -109,7 +105,7 @@ fn capture(file: &Path, printer: &Printer) -> Result<()> {
             let percent = |k: usize| 100.0 * corners.get(k).map_or(f64::NAN, |e| e.0) / extent(&true_scene);
             let (worst, median) = (percent(corners.len().saturating_sub(1)), percent(corners.len() / 2));
             printer.data(&format!(
-                "{:<12}{lens:<8}{cameras:<8}{focal:>+8.3}{position:>10.3}{rotation:>10.3}{:>12}{:>8}{worst:>18.2}{median:>8.2}{ms:>8.0}  {}",
+                "{:<12}{lens:<8}{cameras:<8}{focal:>+8.3}{position:>10.3}{rotation:>10.3}{:>12}{:>8}{worst:>18.2}{median:>8.2}  {}",
                 validate::name(file),
                 further[0],
                 further[1],

@@ -20,6 +20,8 @@ use std::ops::Range;
 const LEAST_CORNERS: usize = 4;
 /// Without a mark that tells it a primitive's parameter stays where it starts, to this, m or rad.
 const UNTOLD: f64 = 10.0;
+/// Steps before the robust fit, at most.
+const STEPS: usize = 30;
 /// Marks that fit worse than they should by more than this factor count less.
 const WORSE: f64 = 1.1;
 
@@ -77,7 +79,7 @@ enum Unfit {
 
 /// Finds lens and pose of the plate as [`super::solve`] does, then all cameras together with the primitives.
 pub fn solve(evidence: &Evidence, settings: &config::Calibrate, scene: &Scene) -> Result<Found, Problem> {
-    if !settings.joint || seen_in(scene.primitives, scene.here).iter().all(|p| p.marks.is_empty()) {
+    if !settings.joint || seen_in(scene.primitives, scene.here).is_empty() {
         return Ok(Found::alone(solve::solve(evidence, settings)?));
     }
     solve_from(&solve::start(evidence, settings, true)?, evidence, settings, scene)
@@ -132,7 +134,9 @@ fn together(
     x.extend(vec![0.0; POSE * others.len()]);
     x.extend(known.first());
     let names = joint.names();
-    let mut fit = least_squares::minimise(&joint, &names, &x, Loss::Huber(ROBUST))?;
+    let near = least_squares::descend(&joint, DVector::from_vec(x), STEPS);
+    let (x, _) = near.ok_or(least_squares::Problem::Start)?;
+    let mut fit = least_squares::minimise(&joint, &names, x.as_slice(), Loss::Huber(ROBUST))?;
     let scatter = joint.scatter(&fit);
     if scatter > WORSE {
         joint.weight = 1.0 / scatter;
@@ -150,7 +154,7 @@ fn others(
 ) -> Result<Vec<(String, Isometry3<f64>)>, Unfit> {
     let marked_in = |file: &String| seen_in(scene.primitives, std::slice::from_ref(file));
     let with_marks: Vec<_> = (scene.others.iter().map(|f| (f, marked_in(f))))
-        .filter(|(_, p)| p.iter().any(|p| !p.marks.is_empty()))
+        .filter(|(_, primitives)| !primitives.is_empty())
         .collect();
     if with_marks.is_empty() {
         return Ok(Vec::new());
@@ -179,13 +183,23 @@ fn others(
     Ok(posed)
 }
 
-/// The primitives with those marks alone that are seen directly in some photographs.
+/// The primitives with those marks alone that are seen directly in some photographs; and without marks those that they refer to.
 fn seen_in(primitives: &[Primitive], files: &[String]) -> Vec<Primitive> {
-    let of = |p: &Primitive| {
+    let seen = |p: &Primitive| {
         let marks = p.marks.iter().filter(|m| !m.reflection && files.contains(&m.image)).cloned();
         Primitive { marks: marks.collect(), ..p.clone() }
     };
-    primitives.iter().map(of).collect()
+    let all: Vec<Primitive> = primitives.iter().map(seen).collect();
+    let mut names: Vec<&str> = Vec::new();
+    let mut wanted: Vec<&Primitive> = all.iter().filter(|p| !p.marks.is_empty()).collect();
+    while let Some(primitive) = wanted.pop() {
+        if !names.contains(&&primitive.name[..]) {
+            names.push(&primitive.name);
+            let referred = primitive.references();
+            wanted.extend(all.iter().filter(|p| referred.contains(&&p.name)));
+        }
+    }
+    all.iter().filter(|p| names.contains(&&p.name[..])).cloned().collect()
 }
 
 /// All residuals. Parameters: the primitives', children first; the poses of other photographs; what is known of the plate. In

@@ -144,12 +144,14 @@ impl Source {
         json::write(&ctx.output("cameras.json"), &self.cameras(&capture)?)
     }
 
-    /// The plate's, and those of photographs from beside it.
+    /// The plates', and those of photographs from beside the first.
     fn cameras(&self, capture: &Capture) -> Result<Cameras> {
         let plate = capture.plate()?.file.clone();
-        let beside = capture.with_role(Role::Brackets).chain(capture.with_role(Role::PlateWithGrid));
-        let files = std::iter::once(&plate).chain(beside.map(|p| &p.file));
-        let posed: BTreeMap<_, _> = files
+        let roles = [Role::Plate, Role::Brackets, Role::PlateWithGrid];
+        let posed: BTreeMap<_, _> = roles
+            .iter()
+            .flat_map(|role| capture.with_role(*role))
+            .map(|photo| &photo.file)
             .map(|file| self.truth.posed_camera(file).map(|posed| (file.clone(), posed)))
             .collect::<std::result::Result<_, _>>()
             .doing(self.doing())?;

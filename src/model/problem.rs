@@ -183,7 +183,7 @@ impl crate::error::Problem for Problem {
                  `0+` (above), …, edges `---/+--`; a cylinder has `top`, `bottom`, `left`, `right`"
                     .into()
             }
-            Self::Image { .. } => "mark photographs of the plate's place, or of the probe".into(),
+            Self::Image { .. } => "mark photographs of the plate's place or of the probe, or in others four corners that are marked in the plate, too".into(),
             Self::NoReflection { .. } => "mark it within the ball's outline in a photograph of the probe".into(),
             Self::Behind { .. } => "check that the corner is what was marked, and that its parent is right".into(),
             Self::Contradiction { .. } => "check this mark first; or set `lift` or `yaw` to \"free\"".into(),

@@ -221,6 +221,42 @@ fn faces_show_their_fronts() {
 }
 
 #[test]
+fn one_wrong_mark_hardly_counts_and_is_named() {
+    let cameras = cameras();
+    let views = Views { cameras: &cameras, ball: Some(ball()), ground_y: GROUND };
+    let settings = config::Model { max_rms_px: 10.0, ..config::Model::default() };
+    let noise = |n: usize| {
+        let a = n as f64 * 2.399963;
+        [0.7 * a.cos(), 0.7 * a.sin()]
+    };
+    let sizes = |wrong_px: f64, name_of_wrong: &mut Vec<String>| {
+        let mut all = marked(&noise);
+        // More marks of the same corners, so that one can be told from the others.
+        for primitive in &mut all {
+            let again = primitive.marks.clone();
+            primitive
+                .marks
+                .extend(again.iter().map(|m| Mark { at: [m.at[0] - 0.5, m.at[1] + 0.3], ..m.clone() }));
+            primitive
+                .marks
+                .extend(again.iter().map(|m| Mark { at: [m.at[0] + 0.4, m.at[1] - 0.2], ..m.clone() }));
+        }
+        all[1].marks[3].at[1] += wrong_px;
+        let mut fitter = Fitter::new(&all, &views, &settings).unwrap();
+        let scene = fitter.scene().unwrap();
+        name_of_wrong.extend(fitter.outlying().iter().map(|o| format!("{} {}", o.name, o.corner)));
+        scene.primitives[1].size_m.clone()
+    };
+    let (mut none, mut one) = (Vec::new(), Vec::new());
+    let (right, wrong) = (sizes(0.0, &mut none), sizes(30.0, &mut one));
+    assert!(none.is_empty(), "{none:?}");
+    assert_eq!(one, ["desk +++"]);
+    for (a, b) in right.iter().zip(&wrong) {
+        assert!((a - b).abs() < 0.01, "{right:?} {wrong:?}");
+    }
+}
+
+#[test]
 fn the_unconstrained_parameter_is_named() {
     let mut all = marked(&|_| [0.0, 0.0]);
     all[1].marks.retain(|m| &m.corner[1..2] == "-");

@@ -89,7 +89,7 @@ impl<'a> Tree<'a> {
         while !waiting.is_empty() {
             let mut later = Vec::new();
             for &primitive in &waiting {
-                let ready = references(primitive).iter().all(|r| order.iter().any(|q| q.name == **r));
+                let ready = primitive.references().iter().all(|r| order.iter().any(|q| q.name == **r));
                 if ready { order.push(primitive) } else { later.push(primitive) }
             }
             if later.len() == waiting.len() {
@@ -366,12 +366,6 @@ impl Residuals for Tree<'_> {
         }
         Some(equations)
     }
-}
-
-fn references(primitive: &Primitive) -> Vec<&String> {
-    let mirror = primitive.mirror.iter().flat_map(|m| [&m.of, &m.about]);
-    let others = [&primitive.parent, &primitive.parallel_to, &primitive.same_size];
-    others.into_iter().flatten().chain(mirror).collect()
 }
 
 fn check_alone(primitives: &[Primitive]) -> Result<(), Problem> {

@@ -89,7 +89,7 @@ parent = "a"
             "model",
             1,
             "fitting the scene to annotations.toml: corner `+--` of `room` is marked in plate_007.jpg, whose pose is not known",
-            "mark photographs of the plate's place, or of the probe",
+            "mark photographs of the plate's place or of the probe, or in others four corners that are marked in the plate, too",
         ),
         case(
             "reflection beside the ball",
@@ -112,7 +112,7 @@ parent = "a"
             &[Swap("annotations.toml", "at = [25.5, 233.5]", "at = [nan, 33.5]")],
             "model",
             2,
-            "./annotations.toml:76:54: nan is no number that can be measured",
+            "./annotations.toml:124:54: nan is no number that can be measured",
             "give pixels or metres as finite numbers below a million",
         ),
         case(

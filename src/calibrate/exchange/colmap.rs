@@ -294,6 +294,40 @@ mod tests {
         }
     }
 
+    /// `fixtures/colmap` was written by COLMAP 4.2.1 itself (`pycolmap.synthesize_dataset`): three images, a lens with distortion,
+    /// eight points and where each image sees them.
+    #[test]
+    fn models_that_colmap_wrote_see_its_points_where_it_does() {
+        macro_rules! model {
+            ($name:literal) => {
+                concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/colmap/", $name)
+            };
+        }
+        let images = include_str!(model!("images.txt"));
+        let text = read_text(include_str!(model!("cameras.txt")), images).unwrap();
+        let (cameras, of_images) =
+            (include_bytes!(model!("cameras.bin")), include_bytes!(model!("images.bin")));
+        let mut binary = read_binary(cameras, of_images).unwrap();
+        binary.sort_by(|a, b| a.image.cmp(&b.image));
+        assert_eq!(text, binary);
+        let numbers =
+            |line: &str| line.split_whitespace().map_while(|w| w.parse().ok()).collect::<Vec<f64>>();
+        let points = lines(include_str!(model!("points3D.txt"))).map(|(_, l)| numbers(l));
+        let points: BTreeMap<i64, Point3<f64>> =
+            points.map(|p| (p[0] as i64, Point3::new(p[1], p[2], p[3]))).collect();
+        let observed = lines(images).skip(1).step_by(2).map(|(_, line)| numbers(line));
+        let mut count = 0;
+        for (posed, observed) in text.iter().zip(observed) {
+            for seen in observed.chunks(3) {
+                let Some(point) = points.get(&(seen[2] as i64)) else { continue };
+                let pixel = posed.camera.project(&(world_from_grid() * point)).unwrap();
+                assert!((pixel.x - seen[0]).hypot(pixel.y - seen[1]) < 1e-9, "{}: {pixel}", posed.image);
+                count += 1;
+            }
+        }
+        assert_eq!(count, 24);
+    }
+
     #[test]
     fn what_cannot_be_read_is_told() {
         let said = |cameras: &str, images: &str| read_text(cameras, images).unwrap_err().to_string();
