@@ -8,15 +8,13 @@ use super::{FittedPrimitive, Problem, Scene, faces, parameters};
 use crate::annotations::Primitive;
 use crate::camera::{LENS, POSE, SharedCovariance, moved};
 use crate::config;
-use crate::least_squares::{self, Fit, Loss, Residuals};
+use crate::least_squares::{self, Fit, Loss};
 use nalgebra::{DMatrix, DVector, Matrix3, Point3, SVector, Vector3};
 
 /// Smallest extent that a primitive may have, m.
 const MIN_EXTENT_M: f64 = 1e-3;
 /// Where a mark is off by more than twice so many standard deviations, those that are off by more than so many count less.
 const ROBUST: f64 = 3.0;
-/// Steps from a first guess, at most.
-const STEPS: usize = 30;
 /// Steps after a mark has moved, at most.
 const DRAG_STEPS: usize = 12;
 
@@ -59,12 +57,14 @@ impl<'a> Fitter<'a> {
 
     /// The fit from some values, with what it is worth.
     fn solved(&self, values: &Values) -> Result<Fit, Problem> {
-        let start = DVector::from_vec(self.tree.free_of(values));
-        // Most of the way without a verdict, and quickly.
-        let near = least_squares::descend(&self.tree, start.clone(), STEPS).map_or(start, |(x, _)| x);
-        let off = self.tree.residuals(&near).map_or(0.0, |r| r.amax());
-        let loss = if off > 2.0 * ROBUST { Loss::Huber(ROBUST) } else { Loss::Squares };
-        match least_squares::minimise(&self.tree, &self.tree.names(), near.as_slice(), loss) {
+        let start = self.tree.free_of(values);
+        let names = self.tree.names();
+        match least_squares::minimise(&self.tree, &names, &start, Loss::Squares) {
+            Ok(fit) if fit.residuals.amax() > 2.0 * ROBUST => {
+                let robust = Loss::Huber(ROBUST);
+                let again = least_squares::minimise(&self.tree, &names, fit.parameters.as_slice(), robust);
+                Ok(again.unwrap_or(fit))
+            }
             // Marks that contradict each other can also keep a fit from settling; that is then the better message.
             Err(e @ least_squares::Problem::NotConverged { .. }) => {
                 self.check_agreement(values)?;
