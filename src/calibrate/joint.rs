@@ -202,6 +202,9 @@ fn seen_in(primitives: &[Primitive], files: &[String]) -> Vec<Primitive> {
     all.iter().filter(|p| names.contains(&&p.name[..])).cloned().collect()
 }
 
+/// Residuals, their derivatives by some parameters, and which these are, in rising order.
+type Rows = (Vec<f64>, DMatrix<f64>, Vec<usize>);
+
 /// All residuals. Parameters: the primitives', children first; the poses of other photographs; what is known of the plate. In
 /// this order the normal equations keep their zeros, and solving them eliminates primitives and poses one by one.
 struct Joint<'a> {
@@ -258,7 +261,7 @@ impl Joint<'_> {
     }
 
     /// The same rows with derivatives by the parameters (rising) on which they depend.
-    fn blocks(&self, x: &DVector<f64>) -> Option<Vec<(Vec<f64>, DMatrix<f64>, Vec<usize>)>> {
+    fn blocks(&self, x: &DVector<f64>) -> Option<Vec<Rows>> {
         let n = self.untold.len();
         let groups = self.groups(x)?;
         let mut by_cameras: Vec<DMatrix<f64>> =
