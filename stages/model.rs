@@ -6,8 +6,8 @@ use insitu::calibrate::Cameras;
 use insitu::camera::Camera;
 use insitu::config::{ProbeSource, Role};
 use insitu::error::Context as _;
-use insitu::exposure::Capture;
-use insitu::model::{self, Views, sight::Ball};
+use insitu::exposure::{self, Capture};
+use insitu::model::{self, Views, room, sight::Ball};
 use insitu::probe::ProbeFit;
 use std::collections::BTreeMap;
 
@@ -29,9 +29,16 @@ fn main() -> std::process::ExitCode {
                 views.extend(of_view.map(|f| (f.clone(), probe.camera.clone())));
             }
         }
-        let views = Views { cameras: &views, ball, ground_y: -ctx.pipeline.calibrate.thickness_m };
-        let scene = model::fit(&annotations.primitive, &views, &ctx.pipeline.model)
-            .doing(format!("fitting the scene to {}", ctx.pipeline.annotations.display()))?;
+        let doing = || format!("fitting the scene to {}", ctx.pipeline.annotations.display());
+        let ground_y = -ctx.pipeline.calibrate.thickness_m;
+        let settings = &ctx.pipeline.model;
+        let plate = (cameras.plate.as_str(), cameras.plate_camera());
+        let photograph = || exposure::load(ctx, &capture, capture.plate()?);
+        let (primitives, rooms) =
+            room::searched(&annotations.primitive, plate, photograph, ground_y, settings)?.doing(doing())?;
+        rooms.iter().flat_map(|room| room.told()).for_each(|words| ctx.warn(words));
+        let views = Views { cameras: &views, ball, ground_y, rooms: &rooms };
+        let scene = model::fit(&primitives, &views, settings).doing(doing())?;
 
         ctx.figure("rms_px", scene.rms_px);
         ctx.figure("faces", scene.faces.len());
@@ -39,6 +46,11 @@ fn main() -> std::process::ExitCode {
             ctx.figure(&format!("{}_rms_px", primitive.name), primitive.rms_px);
             ctx.figure(&format!("{}_size_m", primitive.name), &primitive.size_m);
             ctx.figure(&format!("{}_size_sigma_m", primitive.name), &primitive.size_sigma_m);
+            for face in &primitive.faces {
+                let name = format!("{}_{}", primitive.name, face.side);
+                ctx.figure(&format!("{name}_distance_m"), face.distance_m);
+                ctx.figure(&format!("{name}_sigma_m"), face.sigma_m);
+            }
         }
         json::write(&ctx.output("scene.json"), &scene)?;
         model::export(ctx, &scene, &cameras, &capture.photos, &[])

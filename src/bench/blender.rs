@@ -62,6 +62,7 @@ fn scene() -> Scene {
         size_sigma_m: vec![],
         marks: 0,
         rms_px: 0.0,
+        faces: Vec::new(),
     };
     Scene { primitives: vec![primitive("box"), primitive("wall")], faces, rms_px: 0.0 }
 }

@@ -57,7 +57,7 @@ pub(super) fn print(settings: &[PathBuf], printer: &Printer) -> Result<()> {
 
 fn timed(count: usize) -> Result<String> {
     let (primitives, cameras) = crowded(count)?;
-    let views = Views { cameras: &cameras, ball: None, ground_y: 0.0 };
+    let views = Views { cameras: &cameras, ball: None, ground_y: 0.0, rooms: &[] };
     let settings = config::Model::default();
     let doing = "fitting a synthetic scene";
     let started = Instant::now();
@@ -188,12 +188,12 @@ fn judged(file: &Path) -> Result<String> {
 }
 
 /// What the truth calls the inside of a room.
-fn shell(name: &str) -> bool {
+pub(super) fn shell(name: &str) -> bool {
     ["floor", "ceiling", "wall"].iter().any(|part| name.starts_with(part))
 }
 
 /// Longest side of the box around a scene's room; outdoors around all that stands there, m.
-fn extent(scene: &Scene) -> f64 {
+pub(super) fn extent(scene: &Scene) -> f64 {
     let room: Vec<_> = scene.faces.iter().filter(|f| shell(&f.name)).flat_map(|f| &f.vertices).collect();
     let standing = scene.faces.iter().filter(|f| f.name != "ground").flat_map(|f| &f.vertices).collect();
     let corners = if room.is_empty() { standing } else { room };

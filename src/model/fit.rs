@@ -3,7 +3,7 @@
 use super::guess::first_guess;
 use super::sight::{self, Miss};
 use super::tree::{Tree, Values, Views, sight};
-use super::{FittedPrimitive, Problem, Scene, faces, parameters};
+use super::{FaceDistance, FaceSource, FittedPrimitive, Problem, Scene, faces, parameters};
 use crate::annotations::Primitive;
 use crate::config;
 use crate::least_squares::{self, Fit, Loss};
@@ -11,6 +11,8 @@ use nalgebra::DVector;
 
 /// Smallest extent that a primitive may have, m.
 const MIN_EXTENT_M: f64 = 1e-3;
+/// Step of the derivatives of a face's distance, m or rad.
+const STEP: f64 = 1e-5;
 /// Steps after a mark has moved, at most.
 const DRAG_STEPS: usize = 12;
 
@@ -87,9 +89,10 @@ impl<'a> Fitter<'a> {
         let tree = &self.tree;
         let values = tree.values(fit.parameters.as_slice());
         self.check_agreement(&values)?;
+        let stated = self.stated(&fit);
         let sigma = |i: usize, k: usize| {
             let (i, k) = self.source(i, k);
-            tree.free.iter().position(|f| *f == (i, k)).map_or(0.0, |f| fit.sigma(f))
+            tree.free.iter().position(|f| *f == (i, k)).map_or(0.0, |f| stated * fit.sigma(f))
         };
         let misses = tree.all_misses(&values).ok_or(least_squares::Problem::Start)?;
         let placed = tree.place(&values)?;
@@ -110,10 +113,52 @@ impl<'a> Fitter<'a> {
                 size_sigma_m: extents.map(|k| sigma(i, k)).collect(),
                 marks: node.sights.len(),
                 rms_px: sight::rms_px(&misses[i]),
+                faces: self.face_distances(i, &fit),
             });
             scene.faces.extend(faces::faces(primitive, &placed[i], &values[i])?);
         }
         Ok(scene)
+    }
+
+    /// What is found or presumed of a room is no better than stated, however well it fits: a factor of standard deviations.
+    fn stated(&self, fit: &Fit) -> f64 {
+        let freedom = fit.residuals.len().saturating_sub(fit.parameters.len());
+        let searched = self.tree.nodes.iter().any(|node| node.found.is_some());
+        let factor = (freedom as f64 / fit.cost().max(f64::MIN_POSITIVE)).sqrt();
+        if searched && freedom > 0 { factor.max(1.0) } else { 1.0 }
+    }
+
+    /// Where the faces of a room are that was found in the plate.
+    fn face_distances(&self, i: usize, fit: &Fit) -> Vec<FaceDistance> {
+        let tree = &self.tree;
+        let Some(found) = tree.nodes[i].found else { return Vec::new() };
+        let distance = |x: &DVector<f64>, side: &str| {
+            let placed = tree.place(&tree.values(x.as_slice())).ok()?;
+            tree.distance(i, &placed[i], side)
+        };
+        let face = |side: &&str| {
+            let mut by_all = DVector::zeros(fit.parameters.len());
+            for k in (0..by_all.len()).filter(|k| tree.free[*k].0 == i) {
+                let moved = |by: f64| {
+                    let mut x = fit.parameters.clone();
+                    x[k] += by;
+                    distance(&x, side)
+                };
+                by_all[k] = (moved(STEP)? - moved(-STEP)?) / (2.0 * STEP);
+            }
+            let presumed = found.presumed.iter().any(|p| p.side == *side);
+            Some(FaceDistance {
+                side: side.to_string(),
+                distance_m: distance(&fit.parameters, side)?,
+                sigma_m: self.stated(fit) * by_all.dot(&(&fit.covariance * &by_all)).max(0.0).sqrt(),
+                source: match presumed {
+                    true => FaceSource::Presumed,
+                    false if found.sides.contains(side) => FaceSource::Plate,
+                    false => FaceSource::Marks,
+                },
+            })
+        };
+        ["left", "right", "front", "back", "ceiling"].iter().filter_map(face).collect()
     }
 
     /// The parameter whose value it is.
