@@ -17,7 +17,7 @@ mod tests;
 mod view;
 
 pub use marks::{Found, Presumed, find};
-pub use search::{LEAST_CORNER, LEAST_FOOT};
+pub use search::{LEAST_COLOUR, LEAST_CORNER, LEAST_FOOT};
 
 use crate::annotations::{Kind, Primitive};
 use crate::calibrate;
@@ -69,6 +69,8 @@ pub struct Weak {
     pub foot: f64,
     /// The same of corners between walls.
     pub corner: f64,
+    /// What a pixel's colour tells of the face it lies on, nats.
+    pub colour: f64,
 }
 
 impl std::fmt::Display for Weak {
@@ -78,12 +80,14 @@ impl std::fmt::Display for Weak {
         }
         write!(
             f,
-            "the best one shows on {:.0} % of an edge where a wall ends and {:.0} % of a corner between walls, at least {:.0} and {:.0} % are \
-             needed",
+            "the best one shows on {:.0} % of an edge where a wall ends and {:.0} % of a corner between walls, and a pixel's colour \
+             tells {:.2} nats of its face; at least {:.0} %, {:.0} % and {:.1} nats are needed",
             100.0 * self.foot,
             100.0 * self.corner,
+            self.colour,
             100.0 * LEAST_FOOT,
-            100.0 * LEAST_CORNER
+            100.0 * LEAST_CORNER,
+            LEAST_COLOUR
         )
     }
 }

@@ -30,6 +30,8 @@ const FACE: f64 = 8.0;
 pub const LEAST_FOOT: f64 = 1.0 / 3.0;
 /// … and of a corner between walls.
 pub const LEAST_CORNER: f64 = 0.5;
+/// A pixel's colour must tell so much of its face, nats: of two equal faces it tells 0.69 at most.
+pub const LEAST_COLOUR: f64 = 0.4;
 /// So much of a foot or corner tells of it, in pieces: a foot may be out of the picture, a corner must be seen.
 const TELLING: f64 = 3.0;
 
@@ -39,8 +41,6 @@ const SKIRTING_M: std::ops::Range<f64> = 0.03..0.25;
 const SAME_SKIRTING: f64 = 0.01;
 /// A room is nearly as good as another when of what that gains over an open floor it loses no more than this share.
 const NEARLY: f64 = 0.1;
-/// A room smaller by its skirting may lose this share.
-const SKIRTING_LOSS: f64 = 0.2;
 /// So many of the best are refined: steps by these shares of a distance, so often.
 const REFINED: usize = 16;
 const STEPS: [f64; 3] = [0.02, 0.007, 0.003];
@@ -90,14 +90,22 @@ pub fn search(evidence: &Evidence, contents: &Contents, height_m: f64) -> Result
     let open = judge(&Layout::open(height_m), true);
     let gain = |j: &Judged| j.score - open;
     let most = all.first().map_or(0.0, gain);
-    let sound = |j: &&Judged| weakness(evidence, &j.layout).is_none() && gain(j) > (1.0 - NEARLY) * most;
+    let sound =
+        |j: &&Judged| weakness(evidence, contents, &j.layout).is_none() && gain(j) > (1.0 - NEARLY) * most;
     let Some(best) = all.iter().find(sound).filter(|j| gain(j) > 0.0) else {
-        let nearest = all.iter().find_map(|j| weakness(evidence, &j.layout).filter(|w| w.walls >= 2));
-        return Err(Problem::NoRoom(nearest.unwrap_or(Weak { walls: 0, foot: 0.0, corner: 0.0 })));
+        let nearest =
+            all.iter().find_map(|j| weakness(evidence, contents, &j.layout).filter(|w| w.walls >= 2));
+        return Err(Problem::NoRoom(nearest.unwrap_or(Weak {
+            walls: 0,
+            foot: 0.0,
+            corner: 0.0,
+            colour: 0.0,
+        })));
     };
-    let enough = open + (1.0 - SKIRTING_LOSS) * gain(best);
+    let enough = open + (1.0 - NEARLY) * gain(best);
     let without_skirting = all.iter().take_while(|j| j.score >= enough).filter(|j| {
-        weakness(evidence, &j.layout).is_none() && is_smaller_by_skirting(&j.layout, &best.layout, height_m)
+        weakness(evidence, contents, &j.layout).is_none()
+            && is_smaller_by_skirting(&j.layout, &best.layout, height_m)
     });
     let better = without_skirting.max_by(|a, b| a.score.total_cmp(&b.score));
     Ok(better.unwrap_or(best).layout)
@@ -141,8 +149,9 @@ fn is_smaller_by_skirting(layout: &Layout, than: &Layout, height_m: f64) -> bool
 }
 
 /// What of a layout the picture supports too little; `None` where all is well.
-fn weakness(evidence: &Evidence, layout: &Layout) -> Option<Weak> {
-    let mut weak = Weak { walls: layout.walls().count(), foot: 1.0, corner: 1.0 };
+fn weakness(evidence: &Evidence, contents: &Contents, layout: &Layout) -> Option<Weak> {
+    let colour = contents.told_by_colour(layout);
+    let mut weak = Weak { walls: layout.walls().count(), foot: 1.0, corner: 1.0, colour };
     for edge in layout.edges() {
         let support = evidence.support(&edge);
         if edge.axis == UP {
@@ -152,7 +161,8 @@ fn weakness(evidence: &Evidence, layout: &Layout) -> Option<Weak> {
             weak.foot = weak.foot.min(support.share());
         }
     }
-    let well = weak.walls >= 2 && weak.foot >= LEAST_FOOT && weak.corner >= LEAST_CORNER;
+    let shown = weak.foot >= LEAST_FOOT && weak.corner >= LEAST_CORNER;
+    let well = weak.walls >= 2 && shown && weak.colour >= LEAST_COLOUR;
     (!well).then_some(weak)
 }
 

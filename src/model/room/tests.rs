@@ -210,7 +210,10 @@ fn what_is_no_room_is_refused_with_its_share() {
     let camera = camera(&place, [1.2, 1.5, 1.6], [-0.9, 0.4, -1.6], 560.0);
     let refused = fitted(room("yaw = \"free\"\n"), &place, &camera).unwrap_err();
     let model::Problem::Room { problem: Problem::NoRoom(weak), .. } = &refused else { panic!("{refused}") };
-    assert!(weak.walls < 2 || weak.foot < LEAST_FOOT || weak.corner < LEAST_CORNER, "{refused}");
+    assert!(
+        weak.walls < 2 || weak.foot < LEAST_FOOT || weak.corner < LEAST_CORNER || weak.colour < LEAST_COLOUR,
+        "{refused}"
+    );
 }
 
 #[test]
