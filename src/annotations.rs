@@ -235,6 +235,9 @@ pub struct Primitive {
     /// Half the side of a ground, m.
     #[serde(default = "twenty")]
     pub extent_m: f64,
+    /// Search the edges of this room in the plate; marks say what is not seen there.
+    #[serde(default)]
+    pub search: bool,
     /// Where its corners are seen.
     #[serde(default)]
     pub marks: Vec<Mark>,

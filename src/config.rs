@@ -365,6 +365,10 @@ settings! {
         mark_sigma_px: f64 = 1.0,
         /// Refuse a fit whose marks are further off than this, rms in px.
         max_rms_px: f64 = 5.0,
+        /// Height of a searched room of whose ceiling nothing is seen, m.
+        presumed_height_m: f64 = 2.6,
+        /// Distance of the camera from its walls of which nothing is seen, m.
+        presumed_wall_m: f64 = 1.5,
     }
 }
 

@@ -6,8 +6,8 @@ use insitu::calibrate::Cameras;
 use insitu::camera::Camera;
 use insitu::config::{ProbeSource, Role};
 use insitu::error::Context as _;
-use insitu::exposure::Capture;
-use insitu::model::{self, Fitter, Off, Views, sight::Ball};
+use insitu::exposure::{self, Capture};
+use insitu::model::{self, Fitter, Off, Views, room, sight::Ball};
 use insitu::probe::ProbeFit;
 use std::collections::BTreeMap;
 
@@ -29,11 +29,18 @@ fn main() -> std::process::ExitCode {
                 views.extend(of_view.map(|f| (f.clone(), probe.camera.clone())));
             }
         }
-        let views = Views { cameras: &views, ball, ground_y: -ctx.pipeline.calibrate.thickness_m };
-        let doing = format!("fitting the scene to {}", ctx.pipeline.annotations.display());
-        let fitter = Fitter::new(&annotations.primitive, &views, &ctx.pipeline.model).doing(doing.clone())?;
+        let doing = || format!("fitting the scene to {}", ctx.pipeline.annotations.display());
+        let ground_y = -ctx.pipeline.calibrate.thickness_m;
+        let settings = &ctx.pipeline.model;
+        let plate = (cameras.plate.as_str(), cameras.plate_camera());
+        let photograph = || exposure::load(ctx, &capture, capture.plate()?);
+        let (primitives, rooms) =
+            room::searched(&annotations.primitive, plate, photograph, ground_y, settings)?.doing(doing())?;
+        rooms.iter().flat_map(|room| room.told()).for_each(|words| ctx.warn(words));
+        let views = Views { cameras: &views, ball, ground_y, rooms: &rooms };
+        let fitter = Fitter::new(&primitives, &views, settings).doing(doing())?;
         let mut fitter = fitter.with_cameras_known_to(cameras.shared.as_ref());
-        let scene = fitter.scene().doing(doing)?;
+        let scene = fitter.scene().doing(doing())?;
         for Off { name, corner, image, px, .. } in fitter.outlying() {
             ctx.warn(format!("the mark `{corner}` of `{name}` in {image} is {px:.1} px off what the others say, and hardly counts"));
         }
@@ -45,6 +52,11 @@ fn main() -> std::process::ExitCode {
             ctx.figure(&format!("{}_size_m", primitive.name), &primitive.size_m);
             ctx.figure(&format!("{}_size_sigma_m", primitive.name), &primitive.size_sigma_m);
             ctx.figure(&format!("{}_corner_sigma_m", primitive.name), primitive.corner_sigma_m);
+            for face in &primitive.faces {
+                let name = format!("{}_{}", primitive.name, face.side);
+                ctx.figure(&format!("{name}_distance_m"), face.distance_m);
+                ctx.figure(&format!("{name}_sigma_m"), face.sigma_m);
+            }
         }
         json::write(&ctx.output("scene.json"), &scene)?;
         model::export(ctx, &scene, &cameras, &capture.photos, &[])

@@ -63,6 +63,7 @@ fn scene() -> Scene {
         corner_sigma_m: 0.0,
         marks: 0,
         rms_px: 0.0,
+        faces: Vec::new(),
     };
     Scene { primitives: vec![primitive("box"), primitive("wall")], faces, rms_px: 0.0 }
 }

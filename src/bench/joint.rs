@@ -144,7 +144,7 @@ fn modelled(
     let mut primitives = scene.primitives.to_vec();
     primitives.iter_mut().for_each(|p| p.marks.retain(|m| cameras.contains_key(&m.image)));
     let ball = Some(Ball { centre: probe.centre, radius_m: probe.radius_m });
-    let views = Views { cameras: &cameras, ball, ground_y: scene.ground_y };
+    let views = Views { cameras: &cameras, ball, ground_y: scene.ground_y, rooms: &[] };
     let doing = "fitting the scene";
     Fitter::new(&primitives, &views, scene.settings).doing(doing)?.scene().doing(doing)
 }

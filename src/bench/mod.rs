@@ -20,6 +20,7 @@ mod occlusion;
 mod passes;
 mod plot;
 mod radiometry;
+mod rooms;
 mod statics;
 mod subject;
 mod subtractive;
@@ -151,7 +152,11 @@ pub fn bench(
             Table::Breakdown => breakdown::print(&settings, printer)?,
             Table::Truth => truth::print(&settings, pictures, printer)?,
             Table::Blender => blender::print(printer)?,
-            Table::Model => model::print(&validate::settings_under(paths)?, printer)?,
+            Table::Model => {
+                let settings = validate::settings_under(paths)?;
+                model::print(&settings, printer)?;
+                rooms::print(&settings, printer)?;
+            }
             Table::Methods => methods::print(&settings, frames, printer)?,
             Table::Subtractive => subtractive::print(&settings, environments, pictures, printer)?,
             Table::Radiometry => radiometry::print(paths, printer)?,

@@ -57,7 +57,7 @@ pub(super) fn print(settings: &[PathBuf], printer: &Printer) -> Result<()> {
 
 fn timed(count: usize) -> Result<String> {
     let (primitives, cameras) = crowded(count)?;
-    let views = Views { cameras: &cameras, ball: None, ground_y: 0.0 };
+    let views = Views { cameras: &cameras, ball: None, ground_y: 0.0, rooms: &[] };
     let settings = config::Model::default();
     let doing = "fitting a synthetic scene";
     let started = Instant::now();
@@ -194,7 +194,7 @@ pub(super) fn corner_errors(scene: &Scene, truth: &Scene) -> Vec<(f64, String)> 
 }
 
 /// What the truth calls the inside of a room.
-fn shell(name: &str) -> bool {
+pub(super) fn shell(name: &str) -> bool {
     ["floor", "ceiling", "wall"].iter().any(|part| name.starts_with(part))
 }
 

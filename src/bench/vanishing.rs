@@ -1,7 +1,6 @@
 //! Vanishing points, marked and found: focal length and directions against those of photographs with known ones (York Urban
 //! Line Segment Database: Denis, Elder and Estrada 2008), and the focal length of captures from the plate alone.
 
-use super::spread;
 use crate::calibrate::manhattan;
 use crate::calibrate::vanishing::{self, Edge, Inner, RoomEdges, StatedFocal};
 use crate::calibrate::{Problem, grey_of};
@@ -135,14 +134,21 @@ fn folder(path: &Path, truth: &Path, printer: &Printer) -> Result<()> {
             .collect();
         printer.data(&format!("{name:<28} angle accuracy @3/5/10 degrees{cells}   within them, %{within}"));
     }
-    let median = |v: &mut Vec<f64>| if v.is_empty() { f64::NAN } else { spread(v)[0] };
     printer.data(&format!(
         "median error of the focal length: labelled {:.2} %, found {:.2} %; median time {:.0} ms",
-        median(&mut all.labelled),
-        median(&mut all.searched),
-        median(&mut all.ms)
+        median(&all.labelled),
+        median(&all.searched),
+        median(&all.ms)
     ));
     Ok(())
+}
+
+/// The middle one, of an even count the mean of the middle two: of so few photographs these can be far apart.
+fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let n = sorted.len();
+    if n == 0 { f64::NAN } else { (sorted[(n - 1) / 2] + sorted[n / 2]) / 2.0 }
 }
 
 fn one(folder: &Path, entry: &Entry, all: &mut Errors, printer: &Printer) -> Result<()> {

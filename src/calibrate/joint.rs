@@ -120,7 +120,7 @@ fn together(
     );
     let files: Vec<String> = cameras.keys().cloned().collect();
     let primitives = seen_in(scene.primitives, &files);
-    let views = Views { cameras: &cameras, ball: None, ground_y: scene.ground_y };
+    let views = Views { cameras: &cameras, ball: None, ground_y: scene.ground_y, rooms: &[] };
     let (marked, first) = Marked::new(&primitives, &views, scene.settings.mark_sigma_px)?;
     let mut joint = Joint {
         marked: &marked,
@@ -160,7 +160,7 @@ fn others(
         return Ok(Vec::new());
     }
     let primitives = seen_in(scene.primitives, scene.here);
-    let views = Views { cameras: here, ball: None, ground_y: scene.ground_y };
+    let views = Views { cameras: here, ball: None, ground_y: scene.ground_y, rooms: &[] };
     let (marked, x) = Marked::new(&primitives, &views, scene.settings.mark_sigma_px)?;
     let corners = marked.corners(x.as_slice());
     let mut posed = Vec::new();

@@ -183,7 +183,7 @@ fn cameras_and_boxes_are_unbiased_and_as_uncertain_as_they_say() {
         let cameras = BTreeMap::from(
             [("plate.jpg", cameras[0]), ("other.jpg", cameras[1])].map(|(n, c)| (n.to_string(), c.clone())),
         );
-        let views = Views { cameras: &cameras, ball: None, ground_y: GROUND };
+        let views = Views { cameras: &cameras, ball: None, ground_y: GROUND, rooms: &[] };
         let fitter = Fitter::new(&primitives, &views, &model).unwrap();
         let boxes = fitter.with_cameras_known_to(Some(&shared)).scene().unwrap();
         for (fitted, solid) in boxes.primitives.iter().zip(&SOLIDS).take(2) {

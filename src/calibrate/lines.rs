@@ -7,7 +7,7 @@ use crate::camera::{Camera, CameraCovariance, Intrinsics, LENS, POSE};
 use nalgebra::{DMatrix, Isometry3, Point2, Translation3, UnitQuaternion};
 
 /// Pixel as an ideal lens would have it.
-pub(super) fn undistorted(intrinsics: &Intrinsics, [x, y]: [f64; 2]) -> Point2<f64> {
+pub fn undistorted(intrinsics: &Intrinsics, [x, y]: [f64; 2]) -> Point2<f64> {
     let ([f, g], [cx, cy]) = (intrinsics.focal_px, intrinsics.principal_point_px);
     let [x, y] = intrinsics.undistort([(x - cx) / f, (y - cy) / g]);
     Point2::new(f * x + cx, g * y + cy)

@@ -34,6 +34,8 @@ const FOCAL: std::ops::Range<f64> = 0.4..2.5;
 /// Log-likelihood ratio of a segment, on average, and of all as if they were equally long, below which chance explains them as
 /// well: the best of so many rooms finds some agreement anywhere.
 const CHANCE: [f64; 2] = [0.25, 20.0];
+/// The same where nothing but the room's turn is sought.
+const CHANCE_TURN: [f64; 2] = [0.25, 6.0];
 const SEED: u64 = 1;
 
 /// Edges found and the room that they fit.
@@ -117,10 +119,7 @@ pub fn find(
     diagonal_px: f64,
     stated: Option<StatedFocal>,
 ) -> Result<Found, Problem> {
-    let long = |[p, q]: &&Edge| (q - p).norm() >= SHORTEST * diagonal_px;
-    let mut judges: Vec<Judge> =
-        segments.iter().filter(long).map(|s| Judge::new(s, centre, diagonal_px)).collect();
-    judges.sort_by(|a, b| b.weight.total_cmp(&a.weight));
+    let judges = judges(segments, centre, diagonal_px);
     let none = |used| Problem::NoRoom { found: judges.len(), used };
     if judges.len() < 4 {
         return Err(none(0));
@@ -156,12 +155,76 @@ pub fn find(
         .max_by(|a, b| a.0.total_cmp(&b.0))
         .and_then(|(_, _, fit)| judged(fit.room, judges.len(), TURNS[1]));
     let (evidence, edges, fit) = best.ok_or_else(|| none(0))?;
-    let weights: f64 = judges.iter().map(|j| j.weight).sum();
-    let as_many = weights * weights / judges.iter().map(|j| j.weight * j.weight).sum::<f64>();
-    if evidence < CHANCE[0] || evidence * as_many < CHANCE[1] {
+    if is_chance(evidence, &judges, CHANCE) {
         return Err(none(edges.along.iter().map(Vec::len).sum()));
     }
     Ok(Found { edges, fit, segments: judges.len() })
+}
+
+/// The room's directions where lens and vertical (`up`, in the camera frame) are known, and the segments along each, as
+/// [`Found`] has them. `along`: a horizontal direction of the room, in the camera frame, where that is known, too.
+pub fn about_vertical(
+    segments: &[Edge],
+    centre: Point2<f64>,
+    diagonal_px: f64,
+    focal_px: f64,
+    up: &Vector3<f64>,
+    along: Option<Vector3<f64>>,
+) -> Result<(Room, RoomEdges), Problem> {
+    let judges = judges(segments, centre, diagonal_px);
+    let scaled = |away: &Vector3<f64>| Room {
+        focal_px: focal_px / diagonal_px,
+        camera_from_room: Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[
+            away.cross(up),
+            *away,
+            *up,
+        ])),
+    };
+    let forward = Vector3::z() - up * up.z;
+    // Looking straight down any direction is as far away as any other.
+    let forward = forward.try_normalize(1e-6).unwrap_or_else(|| up.cross(&Vector3::x()).normalize());
+    let turned = |from: &Vector3<f64>, angle: f64| from * angle.cos() + from.cross(up) * angle.sin();
+    let best_of = |from: Vector3<f64>, step: f64, steps: i32| {
+        let tried = (-steps..=steps).into_par_iter().map(|k| turned(&from, step * f64::from(k)));
+        tried.map(|away| (evidence(&scaled(&away), &judges), away)).max_by(|a, b| a.0.total_cmp(&b.0))
+    };
+    let none = |used| Problem::NoRoom { found: judges.len(), used };
+    let away = match along {
+        Some(along) => {
+            let along = (along - up * along.dot(up)).try_normalize(1e-6).ok_or(none(0))?;
+            let quarters = (0..4).map(|k| turned(&along, PI / 2.0 * f64::from(k)));
+            quarters.max_by(|a, b| a.dot(&forward).total_cmp(&b.dot(&forward)))
+        }
+        None if judges.len() < 4 => None,
+        // Half a quarter turn to both sides, then ever closer.
+        None => best_of(forward, PI / 720.0, 180)
+            .and_then(|(_, away)| best_of(away, PI / 7200.0, 15))
+            .map(|(_, away)| away),
+    };
+    let room = scaled(&away.ok_or(none(0))?);
+    let full = Room { focal_px, ..room };
+    let (edges, _) = agreeing(&full, &judges, centre, diagonal_px);
+    if is_chance(evidence(&room, &judges), &judges, CHANCE_TURN) {
+        return Err(none(edges.along.iter().map(Vec::len).sum()));
+    }
+    Ok((full, edges))
+}
+
+/// Segments long enough to count, the longest first.
+fn judges(segments: &[Edge], centre: Point2<f64>, diagonal_px: f64) -> Vec<Judge> {
+    let long = |[p, q]: &&Edge| (q - p).norm() >= SHORTEST * diagonal_px;
+    let mut judges: Vec<Judge> =
+        segments.iter().filter(long).map(|s| Judge::new(s, centre, diagonal_px)).collect();
+    judges.sort_by(|a, b| b.weight.total_cmp(&a.weight));
+    judges
+}
+
+/// Whether chance explains the segments as well.
+fn is_chance(evidence: f64, judges: &[Judge], least: [f64; 2]) -> bool {
+    let weights: f64 = judges.iter().map(|j| j.weight).sum();
+    let as_many = weights * weights / judges.iter().map(|j| j.weight * j.weight).sum::<f64>();
+    // Nothing to judge by is no evidence.
+    !(evidence >= least[0] && evidence * as_many >= least[1])
 }
 
 /// A room from a few segments, long ones more likely: with a focal length two give one direction and a third another; without,

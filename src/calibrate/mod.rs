@@ -23,7 +23,7 @@ mod stage;
 #[cfg(test)]
 mod tests;
 
-pub use lines::{edges_of, pose_from_lines};
+pub use lines::{edges_of, pose_from_lines, undistorted};
 pub use problem::Problem;
 pub use solve::{Evidence, Solution, solve};
 pub use stage::{export, imported};

@@ -66,6 +66,8 @@ const RANGES: &[(&str, &str, Range)] = &[
     ("probe", "field_deg", Above(0.0, 360.0)),
     ("model", "mark_sigma_px", Above(0.0, 100.0)),
     ("model", "max_rms_px", Above(0.0, 1000.0)),
+    ("model", "presumed_height_m", Above(0.0, 100.0)),
+    ("model", "presumed_wall_m", Above(0.0, 100.0)),
     ("illuminate", "max_edge_m", From(0.01, 1000.0)),
     ("illuminate", "min_edge_m", From(0.001, 1000.0)),
     ("illuminate", "max_power_share", Above(0.0, 1.0)),

@@ -148,6 +148,7 @@ impl Truth {
                 corner_sigma_m: 0.0,
                 marks: 0,
                 rms_px: 0.0,
+                faces: Vec::new(),
             });
             scene.faces.extend(faces.into_iter().map(|(side, vertices)| Face {
                 name: if side.is_empty() { name.clone() } else { format!("{name}.{side}") },

@@ -4,7 +4,7 @@ use super::guess::first_guess;
 use super::placed::Placed;
 use super::sight::{self, Miss};
 use super::tree::{Off, Tree, Values, Views, sight};
-use super::{FittedPrimitive, Problem, Scene, faces, parameters};
+use super::{FaceDistance, FaceSource, FittedPrimitive, Problem, Scene, faces, parameters};
 use crate::annotations::Primitive;
 use crate::camera::{LENS, POSE, SharedCovariance, moved};
 use crate::config;
@@ -15,6 +15,8 @@ use nalgebra::{DMatrix, DVector, Matrix3, Point3, SVector, Vector3};
 const MIN_EXTENT_M: f64 = 1e-3;
 /// Where a mark is off by more than twice so many standard deviations, those that are off by more than so many count less.
 const ROBUST: f64 = 3.0;
+/// Step of the derivatives of a face's distance, m or rad.
+const STEP: f64 = 1e-5;
 /// Steps after a mark has moved, at most.
 const DRAG_STEPS: usize = 12;
 
@@ -104,10 +106,11 @@ impl<'a> Fitter<'a> {
         let values = tree.values(fit.parameters.as_slice());
         self.check_agreement(&values)?;
         let covariance = self.covariance(&fit);
+        let stated = self.stated(&fit);
         let sigma = |i: usize, k: usize| {
             let (i, k) = self.source(i, k);
             let free = tree.free.iter().position(|f| *f == (i, k));
-            free.map_or(0.0, |f| covariance[(f, f)].max(0.0).sqrt())
+            free.map_or(0.0, |f| stated * covariance[(f, f)].max(0.0).sqrt())
         };
         let corner_sigmas = self.corner_sigmas(&values, &covariance)?;
         let misses = tree.all_misses(&values).ok_or(least_squares::Problem::Start)?;
@@ -130,6 +133,7 @@ impl<'a> Fitter<'a> {
                 corner_sigma_m: corner_sigmas[i],
                 marks: node.sights.len(),
                 rms_px: sight::rms_px(&misses[i]),
+                faces: self.face_distances(i, &fit, &covariance),
             });
             scene.faces.extend(faces::faces(primitive, &placed[i], &values[i])?);
         }
@@ -229,6 +233,47 @@ impl<'a> Fitter<'a> {
             (0..slopes.first().map_or(0, Vec::len)).map(of_corner).fold(0.0, f64::max)
         };
         Ok(slopes.iter().zip(&tree.depends).map(worst).collect())
+    }
+
+    /// What is found or presumed of a room is no better than stated, however well it fits: a factor of standard deviations.
+    fn stated(&self, fit: &Fit) -> f64 {
+        let freedom = fit.residuals.len().saturating_sub(fit.parameters.len());
+        let searched = self.tree.nodes.iter().any(|node| node.found.is_some());
+        let factor = (freedom as f64 / fit.cost().max(f64::MIN_POSITIVE)).sqrt();
+        if searched && freedom > 0 { factor.max(1.0) } else { 1.0 }
+    }
+
+    /// Where the faces of a room are that was found in the plate.
+    fn face_distances(&self, i: usize, fit: &Fit, covariance: &DMatrix<f64>) -> Vec<FaceDistance> {
+        let tree = &self.tree;
+        let Some(found) = tree.nodes[i].found else { return Vec::new() };
+        let distance = |x: &DVector<f64>, side: &str| {
+            let placed = tree.place(&tree.values(x.as_slice())).ok()?;
+            tree.distance(i, &placed[i], side)
+        };
+        let face = |side: &&str| {
+            let mut by_all = DVector::zeros(fit.parameters.len());
+            for k in (0..by_all.len()).filter(|k| tree.free[*k].0 == i) {
+                let moved = |by: f64| {
+                    let mut x = fit.parameters.clone();
+                    x[k] += by;
+                    distance(&x, side)
+                };
+                by_all[k] = (moved(STEP)? - moved(-STEP)?) / (2.0 * STEP);
+            }
+            let presumed = found.presumed.iter().any(|p| p.side == *side);
+            Some(FaceDistance {
+                side: side.to_string(),
+                distance_m: distance(&fit.parameters, side)?,
+                sigma_m: self.stated(fit) * by_all.dot(&(covariance * &by_all)).max(0.0).sqrt(),
+                source: match presumed {
+                    true => FaceSource::Presumed,
+                    false if found.sides.contains(side) => FaceSource::Plate,
+                    false => FaceSource::Marks,
+                },
+            })
+        };
+        ["left", "right", "front", "back", "ceiling"].iter().filter_map(face).collect()
     }
 
     /// The parameter whose value it is.

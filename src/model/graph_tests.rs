@@ -43,7 +43,7 @@ fn seen(
 ) -> (Vec<Primitive>, Vec<Face>) {
     let cameras = cameras();
     let mut all = parsed(text);
-    let views = Views { cameras: &cameras, ball: None, ground_y: GROUND };
+    let views = Views { cameras: &cameras, ball: None, ground_y: GROUND, rooms: &[] };
     let (mut marks, mut faces) = (Vec::new(), Vec::new());
     {
         let tree = Tree::new(&all, &views, 1.0).unwrap();
@@ -118,7 +118,11 @@ fn tangent(
 
 fn fitted(primitives: &[Primitive]) -> Result<Scene, Problem> {
     let cameras = cameras();
-    fit(primitives, &Views { cameras: &cameras, ball: None, ground_y: GROUND }, &config::Model::default())
+    fit(
+        primitives,
+        &Views { cameras: &cameras, ball: None, ground_y: GROUND, rooms: &[] },
+        &config::Model::default(),
+    )
 }
 
 fn marks(image: &str, corners: &[&str]) -> String {
@@ -420,7 +424,7 @@ fn dragging_a_mark_ends_where_a_fit_from_scratch_does() {
     let noise = |n: usize| [0.7 * (n as f64 * 2.4).cos(), 0.7 * (n as f64 * 2.4).sin()];
     let (mut all, _) = seen(&text, &truth, &noise);
     let (cameras, settings) = (cameras(), config::Model::default());
-    let views = Views { cameras: &cameras, ball: None, ground_y: GROUND };
+    let views = Views { cameras: &cameras, ball: None, ground_y: GROUND, rooms: &[] };
     let to = [all[1].marks[2].at[0] + 3.0, all[1].marks[2].at[1] - 2.0];
     let before = all.clone();
     let mut fitter = Fitter::new(&before, &views, &settings).unwrap();

@@ -20,7 +20,9 @@ pub(super) fn first_guess(tree: &Tree) -> Result<Values, Problem> {
     let mut placed: Vec<Placed> = Vec::new();
     for i in 0..tree.nodes.len() {
         tree.tie(i, &mut values);
-        if tree.nodes[i].primitive.kind == Kind::Cylinder {
+        if let Some(found) = tree.nodes[i].found {
+            free(&tree.nodes[i]).into_iter().for_each(|k| values[i][k] = found.start[k]);
+        } else if tree.nodes[i].primitive.kind == Kind::Cylinder {
             cylinder(tree, i, &mut values, &placed)?;
         } else {
             angles(tree, i, &mut values, &placed)?;

@@ -16,6 +16,7 @@ mod marked;
 mod parameters;
 mod placed;
 mod problem;
+pub mod room;
 #[cfg(test)]
 mod tests;
 mod tree;
@@ -51,6 +52,34 @@ pub struct FittedPrimitive {
     pub marks: usize,
     /// Distance of its corners from their marks, rms in px.
     pub rms_px: f64,
+    /// Of a room that was searched: where its faces are.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub faces: Vec<FaceDistance>,
+}
+
+/// How far a face of a room is from the camera that saw it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FaceDistance {
+    /// `left`, `right`, `front`, `back` or `ceiling`.
+    pub side: String,
+    /// Distance, m.
+    pub distance_m: f64,
+    /// Its standard deviation.
+    pub sigma_m: f64,
+    /// What tells it.
+    pub source: FaceSource,
+}
+
+/// What tells where a face is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FaceSource {
+    /// Its edges in the plate.
+    Plate,
+    /// A person's marks, or sizes.
+    Marks,
+    /// Nothing.
+    Presumed,
 }
 
 /// The scene model: `model/scene.json`.

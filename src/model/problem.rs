@@ -42,6 +42,22 @@ pub enum Problem {
         /// The primitive.
         name: String,
     },
+    /// Only rooms are searched.
+    #[error("`{name}` is to be searched, which only a room without a parent can be")]
+    Search {
+        /// The primitive.
+        name: String,
+    },
+    /// A room is not found in the plate.
+    #[error("`{name}` is not found in {image}: {problem}")]
+    Room {
+        /// The primitive.
+        name: String,
+        /// The plate.
+        image: String,
+        /// Why.
+        problem: super::room::Problem,
+    },
     /// A standard deviation that cannot be.
     #[error("the mark of corner `{corner}` of `{name}` has the sigma_px {value}")]
     Sigma {
@@ -169,6 +185,8 @@ impl crate::error::Problem for Problem {
             }
             Self::Reference { .. } => "name a primitive of the file that can serve, or leave it out".into(),
             Self::Leaning { .. } => "leave out its leans_on, or make it a box or a quad".into(),
+            Self::Search { .. } => "leave out its `search`, and mark its corners".into(),
+            Self::Room { .. } => "mark its corners and edges, in the plate and in the ball, and leave out its `search`".into(),
             Self::Sigma { .. } => "give a standard deviation above 0, or leave it out".into(),
             Self::Cycle { .. } => "let one of them stand on the surface under the grid: leave out its `parent`".into(),
             Self::Attach { .. } => {

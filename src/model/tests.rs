@@ -86,7 +86,7 @@ fn primitives(text: &str) -> Vec<Primitive> {
 
 fn fitted(primitives: &[Primitive]) -> Result<Scene, Problem> {
     let cameras = cameras();
-    let views = Views { cameras: &cameras, ball: Some(ball()), ground_y: GROUND };
+    let views = Views { cameras: &cameras, ball: Some(ball()), ground_y: GROUND, rooms: &[] };
     fit(primitives, &views, &config::Model::default())
 }
 
@@ -223,7 +223,7 @@ fn faces_show_their_fronts() {
 #[test]
 fn one_wrong_mark_hardly_counts_and_is_named() {
     let cameras = cameras();
-    let views = Views { cameras: &cameras, ball: Some(ball()), ground_y: GROUND };
+    let views = Views { cameras: &cameras, ball: Some(ball()), ground_y: GROUND, rooms: &[] };
     let settings = config::Model { max_rms_px: 10.0, ..config::Model::default() };
     let noise = |n: usize| {
         let a = n as f64 * 2.399963;
@@ -438,7 +438,7 @@ fn the_glb_has_its_lights_where_they_shine() {
 
 #[test]
 fn a_polygon_without_a_parent_lies_on_its_surface_and_a_ground_at_its_level() {
-    let views = Views { cameras: &cameras(), ball: None, ground_y: GROUND };
+    let views = Views { cameras: &cameras(), ball: None, ground_y: GROUND, rooms: &[] };
     let camera = &views.cameras["plate.jpg"];
     let corners = [[0.0, 0.0], [0.4, 0.0], [0.4, -0.3], [0.0, -0.3]];
     let see = |[x, z]: [f64; 2]| camera.project(&Point3::new(x, GROUND, z)).unwrap();

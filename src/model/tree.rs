@@ -4,6 +4,7 @@ use super::Problem;
 use super::feature::{self, feature};
 use super::parameters;
 use super::placed::{Around, Placed, place};
+use super::room::Found;
 use super::sight::{Ball, Miss, Sight};
 use crate::annotations::{Kind, Mark, Primitive};
 use crate::camera::Camera;
@@ -20,6 +21,8 @@ pub struct Views<'a> {
     pub ball: Option<Ball>,
     /// Height of the surface that primitives without a parent stand on, in the world, m.
     pub ground_y: f64,
+    /// Rooms that were found in the plate.
+    pub rooms: &'a [Found],
 }
 
 /// A mark that is off.
@@ -47,6 +50,8 @@ pub(super) struct Node<'a> {
     pub sights: Vec<Sight<'a>>,
     /// Weight of each mark, 1/px.
     pub weights: Vec<f64>,
+    /// What was found of it in the plate.
+    pub found: Option<&'a Found>,
 }
 
 /// Where a parameter's value comes from.
@@ -123,6 +128,7 @@ impl<'a> Tree<'a> {
                     .map(|m| sight(primitive, m, views))
                     .collect::<Result<_, _>>()?,
                 weights: sigmas.map(|s| 1.0 / s).collect(),
+                found: views.rooms.iter().find(|found| found.name == primitive.name),
             });
         }
         Ok(Self::linked(nodes, views.ground_y))
@@ -285,6 +291,13 @@ impl<'a> Tree<'a> {
             miss.push(&mut rows);
             rows[from..].iter_mut().for_each(|r| *r *= weight);
         }
+        if let Some(found) = self.nodes[i].found {
+            for presumed in &found.presumed {
+                let distance = self.distance(i, placed, presumed.side)?;
+                rows.push((distance - presumed.distance_m) / presumed.sigma_m);
+            }
+            rows.extend(parameters::turn(Kind::Room).map(|k| found.turn_residual(values[i][k])));
+        }
         Some(rows)
     }
 
@@ -294,6 +307,13 @@ impl<'a> Tree<'a> {
         let placed = self.place(&values).ok()?;
         let each = placed.iter().zip(sights).enumerate();
         each.map(|(i, (placed, sights))| self.rows(i, &values, placed, sights)).collect()
+    }
+
+    /// How far a face of a room that was found is from the camera that saw it, m.
+    pub fn distance(&self, i: usize, placed: &Placed, side: &str) -> Option<f64> {
+        let Placed::Solid(solid) = placed else { return None };
+        let plane = solid.side(side)?;
+        Some((self.nodes[i].found?.from - plane.origin).dot(&plane.normal()))
     }
 
     /// For each primitive its residuals and their derivatives by the parameters that it depends on.
@@ -381,6 +401,9 @@ fn check_alone(primitives: &[Primitive]) -> Result<(), Problem> {
         if let Some(mark) = p.marks.iter().find(wild) {
             let (name, corner) = (p.name.clone(), mark.corner.clone());
             return Err(Problem::Sigma { name, corner, value: mark.sigma_px.unwrap_or_default() });
+        }
+        if p.search && !super::room::can_be_searched(p) {
+            return Err(Problem::Search { name: p.name.clone() });
         }
         if p.leans_on.is_some() && !matches!(p.kind, Kind::Box | Kind::Quad) {
             return Err(Problem::Leaning { name: p.name.clone() });

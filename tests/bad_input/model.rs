@@ -72,6 +72,14 @@ parent = "a"
             "let one of them stand on the surface under the grid: leave out its `parent`",
         ),
         case(
+            "a box that is to be searched",
+            &[Swap("annotations.toml", "name = \"cabinet\"", "name = \"cabinet\"\nsearch = true")],
+            "model",
+            1,
+            "fitting the scene to annotations.toml: `cabinet` is to be searched, which only a room without a parent can be",
+            "leave out its `search`, and mark its corners",
+        ),
+        case(
             "two of one name",
             &[Swap("annotations.toml", "name = \"carton\"", "name = \"cabinet\"")],
             "model",

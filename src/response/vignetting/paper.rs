@@ -22,6 +22,9 @@ const NEEDED: usize = 8;
 pub(super) fn field(codes: &CodeImage, response: &Response, settings: &config::Calibrate) -> Option<Field> {
     let view = board::find(&calibrate::grey(codes), settings).ok()?;
     let [nx, ny] = settings.inner_corners.map(|n| n as usize);
+    if view.pixels.len() < nx * ny {
+        return None;
+    }
     let inner = |i: usize, j: usize| view.pixels[j * nx + i];
     let beyond = |near: Point2<f64>, next: Point2<f64>| near + (near - next);
     // Of the squares' corners, the outermost ones included, those along a row of inner corners, then all.
