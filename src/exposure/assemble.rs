@@ -197,7 +197,10 @@ fn check_plate(capture: &Capture, warnings: &mut Vec<String>) -> Result<(), Prob
     }
     let more = capture.with_role(Role::Plate).count() - 1;
     if more > 0 {
-        warnings.push(format!("{} is augmented; {more} more with the role `plate` are not used", plate.file));
+        warnings.push(format!(
+            "{} is augmented; {more} more with the role `plate` tell of the scene alone, by marks",
+            plate.file
+        ));
     }
     Ok(())
 }
