@@ -7,8 +7,7 @@ use insitu::calibrate::{self, Cameras, Evidence, Problem};
 use insitu::camera::SharedCovariance;
 use insitu::config::Role;
 use insitu::error::{Context as _, Error, Result};
-use insitu::exposure::{self, Capture, Photo};
-use insitu::image::Image;
+use insitu::exposure::{Capture, Photo};
 use insitu::stage::Context;
 use std::collections::BTreeMap;
 
@@ -35,12 +34,12 @@ fn main() -> std::process::ExitCode {
             ctx.figure("focal_source", "import");
             return write(ctx, &cameras);
         }
-        let grids = greys(ctx, &capture, plate, capture.with_role(Role::Grid))?;
-        let mut plate_grids = greys(ctx, &capture, plate, capture.with_role(Role::PlateWithGrid))?;
+        let grids = calibrate::greys(ctx, &capture, plate, capture.with_role(Role::Grid))?;
+        let mut plate_grids = calibrate::greys(ctx, &capture, plate, capture.with_role(Role::PlateWithGrid))?;
         // Edges are searched in it where none are marked.
         let unmarked = lines.is_none_or(|lines| !lines.has_edges());
         let plate_grey = if unmarked || plate_grids.is_empty() {
-            greys(ctx, &capture, plate, std::iter::once(plate))?
+            calibrate::greys(ctx, &capture, plate, std::iter::once(plate))?
         } else {
             Vec::new()
         };
@@ -113,24 +112,4 @@ fn main() -> std::process::ExitCode {
 fn write(ctx: &Context, cameras: &Cameras) -> Result<()> {
     calibrate::export(ctx, cameras)?;
     json::write(&ctx.output("cameras.json"), cameras)
-}
-
-/// Brightness of photographs; one of another size has another lens and is left out.
-fn greys<'a>(
-    ctx: &Context,
-    capture: &Capture,
-    plate: &Photo,
-    photos: impl Iterator<Item = &'a Photo>,
-) -> Result<Vec<(String, Image<u8>)>> {
-    let mut all = Vec::new();
-    for photo in photos {
-        if (photo.width_px, photo.height_px) != (plate.width_px, plate.height_px) {
-            let (w, h) = (photo.width_px, photo.height_px);
-            ctx.warn(format!("{} is not used: it is {w}×{h} px, not of the plate's size", photo.file));
-            continue;
-        }
-        let grey = calibrate::grey_of(&exposure::load(ctx, capture, photo)?);
-        all.push((photo.file.clone(), grey));
-    }
-    Ok(all)
 }

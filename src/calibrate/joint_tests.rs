@@ -132,6 +132,15 @@ fn errors(found: &[&Camera], truth: &[&Camera]) -> DVector<f64> {
     DVector::from_vec(all)
 }
 
+fn scene<'a>(
+    primitives: &'a [Primitive],
+    settings: &'a config::Model,
+    here: &'a [String],
+    others: &'a [String],
+) -> Scene<'a> {
+    Scene { primitives, ground_y: GROUND, settings, here, others }
+}
+
 /// Squared error over what a covariance says, per degree of freedom, of some of its parameters.
 fn chi2(errors: &DVector<f64>, covariance: &DMatrix<f64>, of: &[usize]) -> f64 {
     let n = of.len();
@@ -160,13 +169,7 @@ fn cameras_and_boxes_are_unbiased_and_as_uncertain_as_they_say() {
         let mut noise = Noise::new(seed);
         let start = by_grid(&plate, &mut noise);
         let primitives = marked(&SOLIDS, &[("plate.jpg", &plate), ("other.jpg", &other)], 1.0, &mut noise);
-        let scene = Scene {
-            primitives: &primitives,
-            ground_y: GROUND,
-            settings: &model,
-            here: &names.0,
-            others: &names.1,
-        };
+        let scene = scene(&primitives, &model, &names.0, &names.1);
         let found = solve_from(&start, &no_evidence(), &settings(), &scene).unwrap();
         let cameras = [&found.solution.plate.camera, &found.others["other.jpg"].camera];
         let shared = found.shared.clone().unwrap();
@@ -233,8 +236,7 @@ fn a_box_tells_the_focal_length_that_lines_leave_open() {
         let evidence = Evidence { lines: Some(&lines), ..no_evidence() };
         refused += usize::from(matches!(solve(&evidence, &settings), Err(Problem::FocalOpen { .. })));
         let primitives = marked(&cube, &[("plate.jpg", &plate)], 1.0, &mut noise);
-        let scene =
-            Scene { primitives: &primitives, ground_y: GROUND, settings: &model, here: &here, others: &[] };
+        let scene = scene(&primitives, &model, &here, &[]);
         let found = joint::solve(&evidence, &settings, &scene).unwrap();
         let sigma = found.solution.focal_sigma_px.unwrap();
         let z = (found.solution.plate.camera.intrinsics.focal_px[0] - 600.0) / sigma;
@@ -258,13 +260,7 @@ fn one_wrong_mark_is_resisted_and_named() {
         let mut primitives =
             marked(&SOLIDS, &[("plate.jpg", &plate), ("other.jpg", &other)], 1.0, &mut noise);
         primitives[1].marks[6].at[0] += wrong_px;
-        let scene = Scene {
-            primitives: &primitives,
-            ground_y: GROUND,
-            settings: &model,
-            here: &names.0,
-            others: &names.1,
-        };
+        let scene = scene(&primitives, &model, &names.0, &names.1);
         solve_from(&start, &no_evidence(), &settings(), &scene).unwrap()
     };
     let (right, wrong) = (found(0.0), found(25.0));
@@ -293,8 +289,7 @@ fn primitives_that_contradict_their_marks_take_no_part() {
     // Said to be parallel.
     turned[1].3 += 0.7;
     let primitives = marked(&turned, &[("plate.jpg", &plate)], 1.0, &mut noise);
-    let scene =
-        Scene { primitives: &primitives, ground_y: GROUND, settings: &model, here: &here, others: &[] };
+    let scene = scene(&primitives, &model, &here, &[]);
     let found = solve_from(&start, &no_evidence(), &settings(), &scene).unwrap();
     assert_eq!(found.solution.plate, start.plate);
     assert!(found.shared.is_none());
@@ -314,13 +309,7 @@ fn a_photograph_with_too_few_corners_gets_no_pose_and_is_named() {
     let start = by_grid(&plate, &mut noise);
     let mut primitives = marked(&SOLIDS, &[("plate.jpg", &plate), ("other.jpg", &other)], 1.0, &mut noise);
     primitives.iter_mut().for_each(|p| p.marks.truncate(9));
-    let scene = Scene {
-        primitives: &primitives,
-        ground_y: GROUND,
-        settings: &model,
-        here: &names.0,
-        others: &names.1,
-    };
+    let scene = scene(&primitives, &model, &names.0, &names.1);
     let found = solve_from(&start, &no_evidence(), &settings(), &scene).unwrap();
     assert!(found.others.is_empty());
     assert!(

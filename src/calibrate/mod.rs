@@ -26,7 +26,7 @@ mod tests;
 pub use lines::{edges_of, pose_from_lines, undistorted};
 pub use problem::Problem;
 pub use solve::{Evidence, Solution, solve};
-pub use stage::{export, imported};
+pub use stage::{export, greys, imported};
 
 use crate::artefact::json::JsonArtefact;
 use crate::camera::{Camera, CameraCovariance, Intrinsics, LensCovariance, SharedCovariance};

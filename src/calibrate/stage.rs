@@ -1,12 +1,34 @@
-//! What the stage exchanges with other programs: cameras that they found, and ours for them.
+//! What the stage reads: brightness of photographs; and what it exchanges with other programs: cameras that they found, and ours
+//! for them.
 
 use super::exchange::{self, Posed, colmap, fspy};
 use super::{Cameras, PosedCamera, Problem};
 use crate::error::{Context as _, Error, FileContext, Result};
-use crate::exposure::{Capture, Photo};
+use crate::exposure::{self, Capture, Photo};
+use crate::image::Image;
 use crate::stage::Context;
 use std::collections::BTreeMap;
 use std::path::Path;
+
+/// Brightness of photographs; one of another size has another lens and is left out.
+pub fn greys<'a>(
+    ctx: &Context,
+    capture: &Capture,
+    plate: &Photo,
+    photos: impl Iterator<Item = &'a Photo>,
+) -> Result<Vec<(String, Image<u8>)>> {
+    let mut all = Vec::new();
+    for photo in photos {
+        if (photo.width_px, photo.height_px) != (plate.width_px, plate.height_px) {
+            let (w, h) = (photo.width_px, photo.height_px);
+            ctx.warn(format!("{} is not used: it is {w}×{h} px, not of the plate's size", photo.file));
+            continue;
+        }
+        let grey = super::grey_of(&exposure::load(ctx, capture, photo)?);
+        all.push((photo.file.clone(), grey));
+    }
+    Ok(all)
+}
 
 /// The cameras of another program, as `calibrate.import` names them: a folder with a model of COLMAP, or a project of fSpy.
 /// `here`: photographs from the plate's place.

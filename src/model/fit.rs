@@ -9,7 +9,7 @@ use crate::annotations::Primitive;
 use crate::camera::{LENS, POSE, SharedCovariance, moved};
 use crate::config;
 use crate::least_squares::{self, Fit, Loss};
-use nalgebra::{DMatrix, DVector, Matrix3, Point3, SVector, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, SVector, Vector3};
 
 /// Smallest extent that a primitive may have, m.
 const MIN_EXTENT_M: f64 = 1e-3;
@@ -192,36 +192,11 @@ impl<'a> Fitter<'a> {
         let tree = &self.tree;
         let mut values = values.clone();
         let mut placed = tree.place(&values)?;
-        let corners = |i: usize, placed: &Placed, values: &Values| -> Result<Vec<Point3<f64>>, Problem> {
+        let corners = |i: usize, values: &Values, placed: &Placed| {
             let faces = faces::faces(tree.nodes[i].primitive, placed, &values[i])?;
-            Ok(faces.into_iter().flat_map(|f| f.vertices).collect())
+            Ok(faces.into_iter().flat_map(|f| f.vertices).map(|p| p.coords).collect())
         };
-        // Per primitive for each parameter that it depends on, in their order.
-        let mut slopes: Vec<Vec<Vec<Vector3<f64>>>> = vec![Vec::new(); placed.len()];
-        for &(i, k) in &tree.free {
-            let affected = &tree.affected[i];
-            let kept: Vec<Placed> = affected.iter().map(|&j| placed[j].clone()).collect();
-            let value = values[i][k];
-            let h = f64::EPSILON.cbrt() * value.abs().max(1.0);
-            let mut sides = Vec::with_capacity(2);
-            for moved in [value + h, value - h] {
-                values[i][k] = moved;
-                let mut side = Vec::with_capacity(affected.len());
-                for &j in affected {
-                    tree.tie(j, &mut values);
-                    placed[j] = tree.place_one(j, &values, &placed)?;
-                    side.push(corners(j, &placed[j], &values)?);
-                }
-                sides.push(side);
-            }
-            values[i][k] = value;
-            for (n, (&j, kept)) in affected.iter().zip(kept).enumerate() {
-                tree.tie(j, &mut values);
-                placed[j] = kept;
-                let both = sides[0][n].iter().zip(&sides[1][n]);
-                slopes[j].push(both.map(|(up, down)| (up - down) / (2.0 * h)).collect());
-            }
-        }
+        let slopes = tree.slopes(&mut values, &mut placed, corners)?;
         let worst = |(slopes, depends): (&Vec<Vec<Vector3<f64>>>, &Vec<usize>)| {
             let own =
                 DMatrix::from_fn(depends.len(), depends.len(), |a, b| covariance[(depends[a], depends[b])]);

@@ -8,7 +8,7 @@ use super::room::Found;
 use super::sight::{Ball, Miss, Sight};
 use crate::annotations::{Kind, Mark, Primitive};
 use crate::camera::Camera;
-use crate::least_squares::{NormalEquations, Residuals};
+use crate::least_squares::{self, NormalEquations, Residuals};
 use nalgebra::{DMatrix, DVector, Point2};
 use std::collections::BTreeMap;
 
@@ -326,37 +326,52 @@ impl<'a> Tree<'a> {
             let derivatives = DMatrix::zeros(rows.len(), columns.len());
             blocks.push((rows, derivatives));
         }
-        let mut filled = vec![0; self.nodes.len()];
+        let rows = |j: usize, values: &Values, placed: &Placed| {
+            self.rows(j, values, placed, sights[j]).ok_or(least_squares::Problem::Start.into())
+        };
+        for (j, columns) in self.slopes(&mut values, &mut placed, rows).ok()?.into_iter().enumerate() {
+            for (column, slopes) in columns.into_iter().enumerate() {
+                blocks[j].1.set_column(column, &DVector::from_vec(slopes));
+            }
+        }
+        Some(blocks)
+    }
+
+    /// Derivatives of what depends on primitives' places and sizes, by central differences: for each primitive, by each of the free
+    /// parameters on which it depends, in their order. `values` and `placed` are moved and put back.
+    pub fn slopes<T: std::ops::Sub<Output = T> + std::ops::Div<f64, Output = T>>(
+        &self,
+        values: &mut Values,
+        placed: &mut [Placed],
+        of: impl Fn(usize, &Values, &Placed) -> Result<Vec<T>, Problem>,
+    ) -> Result<Vec<Vec<Vec<T>>>, Problem> {
+        let mut slopes: Vec<Vec<Vec<T>>> = self.nodes.iter().map(|_| Vec::new()).collect();
         for &(i, k) in &self.free {
             let affected = &self.affected[i];
             let kept: Vec<Placed> = affected.iter().map(|&j| placed[j].clone()).collect();
             let value = values[i][k];
             let h = f64::EPSILON.cbrt() * value.abs().max(1.0);
-            let mut sides = Vec::with_capacity(2);
-            for moved in [value + h, value - h] {
+            let mut side = |moved: f64| -> Result<Vec<Vec<T>>, Problem> {
                 values[i][k] = moved;
                 let mut side = Vec::with_capacity(affected.len());
                 for &j in affected {
-                    self.tie(j, &mut values);
-                    placed[j] = self.place_one(j, &values, &placed).ok()?;
-                    side.push(self.rows(j, &values, &placed[j], sights[j])?);
+                    self.tie(j, values);
+                    placed[j] = self.place_one(j, values, placed)?;
+                    side.push(of(j, values, &placed[j])?);
                 }
-                sides.push(side);
-            }
+                Ok(side)
+            };
+            let (up, down) = (side(value + h)?, side(value - h)?);
             values[i][k] = value;
             for (&j, kept) in affected.iter().zip(kept) {
-                self.tie(j, &mut values);
+                self.tie(j, values);
                 placed[j] = kept;
             }
-            for (n, &j) in affected.iter().enumerate() {
-                let column = filled[j];
-                filled[j] += 1;
-                for (row, (up, down)) in sides[0][n].iter().zip(&sides[1][n]).enumerate() {
-                    blocks[j].1[(row, column)] = (up - down) / (2.0 * h);
-                }
+            for (&j, (up, down)) in affected.iter().zip(up.into_iter().zip(down)) {
+                slopes[j].push(up.into_iter().zip(down).map(|(up, down)| (up - down) / (2.0 * h)).collect());
             }
         }
-        Some(blocks)
+        Ok(slopes)
     }
 }
 
