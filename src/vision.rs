@@ -83,9 +83,8 @@ pub fn chessboard_corners(image: &Image<u8>, inner: [u32; 2]) -> Result<Option<V
     let thorough = quick | calib3d::CALIB_CB_EXHAUSTIVE;
     let unenlarged = thorough | calib3d::CALIB_CB_ACCURACY;
     let pattern = Size::new(inner[0] as i32, inner[1] as i32);
-    let lifted = image.map(|v| (255.0 * (f64::from(*v) / 255.0).sqrt()).round() as u8);
-    let pictures = [matrix(image)?, matrix(&lifted)?];
-    let enlargement = (ENLARGED_PX / image.width().max(image.height()) as f64).round().clamp(1.0, 4.0);
+    let pictures = pictures(image)?;
+    let enlargement = enlargement(image);
     let mut corners = Vector::<Point2f>::new();
     for (enlargement, flags) in [(enlargement, quick), (enlargement, thorough), (1.0, unenlarged)] {
         for picture in &pictures {
@@ -101,6 +100,35 @@ pub fn chessboard_corners(image: &Image<u8>, inner: [u32; 2]) -> Result<Option<V
         }
     }
     Ok(None)
+}
+
+/// Rectangles of a chessboard's inner corners, at least three by three, row by row, px, and how many are in a row: guesses, some of
+/// whose corners may be none, by the sector-based detector.
+pub fn chessboard_parts(image: &Image<u8>) -> Result<Vec<(usize, Vec<Point2<f64>>)>, Problem> {
+    let flags = calib3d::CALIB_CB_NORMALIZE_IMAGE | calib3d::CALIB_CB_LARGER;
+    let (least, mut parts) = (Size::new(3, 3), Vec::new());
+    for enlargement in [enlargement(image), 1.0] {
+        for picture in pictures(image)? {
+            let picture = enlarge(&picture, enlargement)?;
+            let (mut corners, mut meta) = (Vector::<Point2f>::new(), Mat::default());
+            calib3d::find_chessboard_corners_sb_with_meta(&picture, least, &mut corners, flags, &mut meta)?;
+            let columns = meta.cols().max(0) as usize;
+            if columns > 0 && corners.len() == columns * meta.rows() as usize {
+                parts.push((columns, points(&corners, enlargement)));
+            }
+        }
+    }
+    Ok(parts)
+}
+
+/// The picture as it is, and with its shadows lifted.
+fn pictures(image: &Image<u8>) -> Result<[Mat; 2], Problem> {
+    let lifted = image.map(|v| (255.0 * (f64::from(*v) / 255.0).sqrt()).round() as u8);
+    Ok([matrix(image)?, matrix(&lifted)?])
+}
+
+fn enlargement(image: &Image<u8>) -> f64 {
+    (ENLARGED_PX / image.width().max(image.height()) as f64).round().clamp(1.0, 4.0)
 }
 
 /// The same as OpenCV's sample `calibration` finds them: by the classic detector, refined within 11 px whatever the squares' size.
@@ -238,7 +266,8 @@ pub fn refined_corners(
         return Ok(refined);
     }
     let none = Size::new(-1, -1);
-    imgproc::corner_sub_pix(&matrix(image)?, &mut moved, Size::new(window, window), none, stop()?)?;
+    let picture = Mat::new_rows_cols_with_data(image.height() as i32, image.width() as i32, image.pixels())?;
+    imgproc::corner_sub_pix(&picture, &mut moved, Size::new(window, window), none, stop()?)?;
     for (k, p) in inside.into_iter().zip(points(&moved, 1.0)) {
         refined[k] = p;
     }

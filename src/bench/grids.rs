@@ -14,6 +14,7 @@ use crate::image::Image;
 use crate::printer::Printer;
 use crate::stage::Workspace;
 use crate::vision::{self, BoardView};
+use nalgebra::Point2;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -110,13 +111,15 @@ impl Known {
 fn folder(path: &Path, file: &Path, printer: &Printer) -> Result<()> {
     let known = Known::read(file)?;
     let name = file.file_name().unwrap_or_default().to_string_lossy().replace("_intrinsics.yml", "");
-    let (mut views, mut of_sample) = (Vec::new(), Vec::new());
+    let (mut views, mut of_sample, mut hidden) = (Vec::new(), Vec::new(), Hidden::default());
     for photo in exposure::list(path)?.iter().filter(|p| p.starts_with(&name) && p.ends_with(".jpg")) {
         let image = grey_of(&decode(&path.join(photo))?);
         match board::find(&image, &known.grid) {
             Ok(view) => {
+                hidden.add(&image, &view, &known.grid);
                 let pixels = vision::sample_corners(&image, known.grid.inner_corners).doing(DOING)?;
-                of_sample.extend(pixels.map(|pixels| BoardView { pixels, board: view.board.clone() }));
+                let board = board::corner_positions(&known.grid);
+                of_sample.extend(pixels.map(|pixels| BoardView { pixels, board }));
                 views.push(view);
             }
             Err(problem) => printer.data(&format!("{photo}: {problem}")),
@@ -164,7 +167,74 @@ fn folder(path: &Path, file: &Path, printer: &Printer) -> Result<()> {
         fit.sigma(0), fit.sigma(2), fit.sigma(3), fit.condition, stage.outliers.len(),
         if stage.dropped.is_empty() { String::new() } else { format!(" and {}", stage.dropped.join(", ")) }
     ));
+    hidden.print(printer);
     if path.join(MARKED).exists() { markers(&path.join(MARKED), printer) } else { Ok(()) }
+}
+
+/// What is found of grids in photographs in which a grey disc hides a part of them, against the grid found whole.
+#[derive(Default)]
+struct Hidden {
+    pictures: usize,
+    found: usize,
+    /// Another grid is.
+    elsewhere: usize,
+    /// Corners farther than a square from the disc, and how many of those are found.
+    seen: usize,
+    of_seen: usize,
+    /// Distances of all corners found, px.
+    off_px: Vec<f64>,
+}
+
+impl Hidden {
+    /// Hides every so many corners one, with what is within so many squares of it.
+    const EVERY: usize = 13;
+    const SQUARES: f64 = 1.5;
+
+    fn add(&mut self, image: &Image<u8>, whole: &BoardView, grid: &config::Calibrate) {
+        let side = (whole.pixels[1] - whole.pixels[0]).norm();
+        for middle in whole.pixels.iter().step_by(Self::EVERY) {
+            let reach = Self::SQUARES * side;
+            let covered = Image::from_fn(image.width(), image.height(), |x, y| {
+                let here = Point2::new(x as f64 + 0.5, y as f64 + 0.5);
+                if (here - middle).norm() < reach { 128 } else { *image.at(x, y) }
+            });
+            self.pictures += 1;
+            let Ok(view) = board::find(&covered, grid) else { continue };
+            // Either way round.
+            let [as_is, turned] = [1.0, -1.0].map(|sign| {
+                let at = |b: &Point2<f64>| whole.board.iter().position(|w| (w - b * sign).norm() < 1e-9);
+                let pairs = view.board.iter().zip(&view.pixels);
+                pairs.filter_map(|(b, p)| Some((p - whole.pixels[at(b)?]).norm())).collect::<Vec<f64>>()
+            });
+            let sum = |off: &[f64]| off.iter().sum::<f64>();
+            let off = if sum(&as_is) < sum(&turned) { as_is } else { turned };
+            // The same grid may be seen elsewhere, on a screen.
+            if off.iter().all(|off| *off > side) {
+                self.elsewhere += 1;
+                continue;
+            }
+            self.found += 1;
+            self.off_px.extend(off);
+            let far = whole.pixels.iter().filter(|p| (*p - middle).norm() > reach + side);
+            let near = |p: &Point2<f64>| view.pixels.iter().any(|q| (p - q).norm() < 0.25 * side);
+            let far: Vec<bool> = far.map(near).collect();
+            self.seen += far.len();
+            self.of_seen += far.iter().filter(|found| **found).count();
+        }
+    }
+
+    fn print(mut self, printer: &Printer) {
+        if self.off_px.is_empty() {
+            return;
+        }
+        self.off_px.sort_by(f64::total_cmp);
+        let share = |of: f64| self.off_px[(of * (self.off_px.len() - 1) as f64).round() as usize];
+        printer.data(&format!(
+            "a disc of {} squares' radius over the grid: {} of {} found, another one in {}; {} of {} corners that are a square away from it; off by {:.3} px \
+             in the middle, {:.2} px at 95 %, {:.2} px at most",
+            Self::SQUARES, self.found, self.pictures, self.elsewhere, self.of_seen, self.seen, share(0.5), share(0.95), share(1.0)
+        ));
+    }
 }
 
 /// `largest`: of the relative differences of focal length and principal point to the published ones.
@@ -203,7 +273,7 @@ fn markers(file: &Path, printer: &Printer) -> Result<()> {
             continue;
         };
         // Listed corners count from the centre of the first pixel.
-        let miss = |(p, [x, y]): (&nalgebra::Point2<f64>, [f64; 2])| (p.x - 0.5 - x).hypot(p.y - 0.5 - y);
+        let miss = |(p, [x, y]): (&Point2<f64>, [f64; 2])| (p.x - 0.5 - x).hypot(p.y - 0.5 - y);
         off.extend(marker.corners.iter().zip(corners).map(miss));
     }
     if !off.is_empty() {

@@ -1,6 +1,7 @@
 //! The printed grid in one photograph: its corners, numbered the right way round.
 
 mod markers;
+mod partial;
 
 pub(super) use markers::check;
 
@@ -27,7 +28,7 @@ pub fn corner_positions(settings: &config::Calibrate) -> Vec<Point2<f64>> {
     (0..nx * ny).map(|k| Point2::new(at(k % nx, nx), at(k / nx, ny))).collect()
 }
 
-/// Finds the grid. A chessboard is seen from its front, but possibly turned by 180°: enough to calibrate a lens.
+/// Finds the grid, or what is seen of it. A chessboard is seen from its front, but possibly turned by 180°: enough to calibrate a lens.
 pub fn find(image: &Image<u8>, settings: &config::Calibrate) -> Result<BoardView, Problem> {
     match &settings.grid {
         Grid::Chessboard => chessboard(image, settings),
@@ -38,8 +39,9 @@ pub fn find(image: &Image<u8>, settings: &config::Calibrate) -> Result<BoardView
 
 fn chessboard(image: &Image<u8>, settings: &config::Calibrate) -> Result<BoardView, Problem> {
     let [nx, ny] = settings.inner_corners;
-    let found = vision::chessboard_corners(image, settings.inner_corners)?;
-    let mut pixels = found.ok_or(Problem::GridNotFound { inner: [nx, ny] })?;
+    let Some(mut pixels) = vision::chessboard_corners(image, settings.inner_corners)? else {
+        return partial::chessboard(image, None, settings);
+    };
     let (nx, ny) = (nx as usize, ny as usize);
     let along = pixels[nx - 1] - pixels[0];
     let across = pixels[nx * (ny - 1)] - pixels[0];
@@ -47,7 +49,12 @@ fn chessboard(image: &Image<u8>, settings: &config::Calibrate) -> Result<BoardVi
     if along.perp(&across) > 0.0 {
         pixels.chunks_mut(nx).for_each(<[_]>::reverse);
     }
-    Ok(BoardView { board: corner_positions(settings), pixels })
+    let view = BoardView { board: corner_positions(settings), pixels };
+    // Where a part is hidden, what is found whole may reach under what hides it.
+    if partial::is_seen_whole(image, &view, settings) {
+        return Ok(view);
+    }
+    partial::chessboard(image, Some(view.pixels), settings)
 }
 
 /// Finds the grid, turned the right way by its disc or markers; without either, with its x axis to the right in the picture.
@@ -58,8 +65,12 @@ pub fn find_oriented(image: &Image<u8>, settings: &config::Calibrate) -> Result<
     }
     let turned = match settings.disc {
         Disc::None => {
-            let nx = settings.inner_corners[0] as usize;
-            view.pixels[nx - 1].x < view.pixels[0].x
+            let pixel_from_board = homography(&view).ok_or(Problem::NoPose)?;
+            let x = |at: f64| {
+                let p = pixel_from_board * Vector3::new(at, 0.0, 1.0);
+                p.x / p.z
+            };
+            x(settings.square_m) < x(0.0)
         }
         corner => {
             let here = disc_darkness(image, &view, settings, -1.0);
@@ -72,7 +83,7 @@ pub fn find_oriented(image: &Image<u8>, settings: &config::Calibrate) -> Result<
         }
     };
     if turned {
-        view.pixels.reverse();
+        view.board.iter_mut().for_each(|at| *at = -*at);
     }
     Ok(view)
 }

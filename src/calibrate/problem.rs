@@ -6,7 +6,7 @@ use crate::{least_squares, vision};
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Problem {
     /// No grid.
-    #[error("no grid of {}×{} inner corners is seen whole", inner[0], inner[1])]
+    #[error("no grid of {}×{} inner corners is seen, whole or in part", inner[0], inner[1])]
     GridNotFound {
         /// Corners looked for.
         inner: [u32; 2],
@@ -196,7 +196,7 @@ impl crate::error::Problem for Problem {
     fn hint(&self) -> String {
         match self {
             Self::GridNotFound { .. } => {
-                "show the whole grid, sharp and larger, and check `calibrate.inner_corners`".into()
+                "show more of the grid, sharp and larger, and check `calibrate.inner_corners`".into()
             }
             Self::DiscOutside | Self::DiscUnclear { .. } => {
                 "show the grid with its margin, or set `calibrate.disc = \"none\"`".into()

@@ -194,12 +194,57 @@ fn the_disc_tells_the_grid_from_itself_turned() {
 }
 
 #[test]
-fn a_grid_without_its_disc_or_partly_hidden_is_refused() {
+fn a_grid_that_does_not_show_its_disc_is_refused() {
     let (settings, camera) = (config::Calibrate::default(), above([0.5, 0.8, 0.6]));
-    let e = grid_pose(&picture(&camera, false, false), &camera.intrinsics, &settings).unwrap_err();
-    assert!(matches!(e, Problem::DiscUnclear { .. }), "{e}");
-    let e = grid_pose(&picture(&camera, true, true), &camera.intrinsics, &settings).unwrap_err();
-    assert!(matches!(e, Problem::GridNotFound { .. }), "{e}");
+    for hidden in [false, true] {
+        let e = grid_pose(&picture(&camera, false, hidden), &camera.intrinsics, &settings).unwrap_err();
+        assert!(matches!(e, Problem::DiscUnclear { .. }), "{e}");
+    }
+}
+
+/// The picture of a grid with a disc of so many squares over a place on it, in squares, and where that is and how large, px.
+fn covered(camera: &Camera, [u, v]: [f64; 2], radius: f64) -> (Image<u8>, Point2<f64>, f64) {
+    let whole = picture(camera, true, false);
+    let see = |u: f64, v: f64| camera.project(&Point3::new(0.06 * u, 0.0, -0.06 * v)).unwrap();
+    let (middle, reach) = (see(u, v), (see(u + radius, v) - see(u, v)).norm());
+    let is_hidden =
+        |x: usize, y: usize| (Point2::new(x as f64 + 0.5, y as f64 + 0.5) - middle).norm() < reach;
+    let image = Image::from_fn(640, 480, |x, y| if is_hidden(x, y) { 140 } else { *whole.at(x, y) });
+    (image, middle, reach)
+}
+
+#[test]
+fn a_grid_partly_hidden_gives_the_corners_that_are_seen() {
+    let settings = config::Calibrate::default();
+    let all = board::corner_positions(&settings);
+    for from in [[0.5, 0.8, 0.6], [-0.4, 0.7, -0.6], [0.1, 0.9, -0.3]] {
+        let camera = above(from);
+        for (place, radius) in [([3.0, 2.0], 1.2), ([0.0, 0.0], 1.2), ([-1.0, 2.5], 1.4), ([3.5, 0.0], 2.2)] {
+            let (image, middle, reach) = covered(&camera, place, radius);
+            let seen = |at: &Point2<f64>| {
+                camera.project(&(world_from_grid() * Point3::new(at.x, at.y, 0.0))).unwrap()
+            };
+            let view = board::find_oriented(&image, &settings).unwrap();
+            let far = |at: &&Point2<f64>| (seen(at) - middle).norm() > reach * (1.0 + 0.8 / radius);
+            for at in all.iter().filter(far) {
+                assert!(view.board.iter().any(|b| (b - at).norm() < 1e-9), "{from:?} {place:?}: no {at}");
+            }
+            for (at, pixel) in view.board.iter().zip(&view.pixels) {
+                let there = seen(at);
+                assert!((there - pixel).norm() < 0.3, "{from:?} {place:?}: {pixel}, is at {there}");
+                assert!((pixel - middle).norm() > reach, "{from:?} {place:?}: {pixel} is hidden");
+            }
+        }
+    }
+    let camera = above([0.5, 0.8, 0.6]);
+    let (image, ..) = covered(&camera, [3.0, 2.0], 1.2);
+    let posed = grid_pose(&image, &camera.intrinsics, &settings).unwrap();
+    let off = (posed.camera.centre() - camera.centre()).norm();
+    assert!(off < 0.005 * camera.centre().coords.norm(), "{off}");
+    // With its disc hidden it could be turned.
+    let (image, ..) = covered(&camera, [-4.0, -3.0], 1.5);
+    let refused = board::find_oriented(&image, &settings);
+    assert!(matches!(refused, Err(Problem::DiscUnclear { .. })), "{refused:?}");
 }
 
 #[test]

@@ -147,7 +147,7 @@ pub fn new(folder: &Path, printer: &Printer) -> Result<()> {
     let roles = if named { roles } else { guessed(folder, &headers)? };
     let mut document = describe(sheet.as_ref(), &roles, ".")?;
     if sheet.is_none() {
-        fit_to_headers(&mut document, &roles, &headers);
+        without_grid(&mut document, &roles);
     }
     open_questions(named, &roles, &headers).iter().for_each(|question| printer.warn(question));
     if !named {
@@ -220,19 +220,8 @@ fn open_questions(
     questions
 }
 
-/// Width of the sensor from EXIF's two focal lengths; without photographs of a grid, the plate's place is the probe's and
-/// its pose comes from vanishing lines.
-fn fit_to_headers(
-    document: &mut DocumentMut,
-    roles: &BTreeMap<Role, Vec<String>>,
-    headers: &BTreeMap<String, Header>,
-) {
-    let plate = roles.get(&Role::Plate).and_then(|files| headers.get(files.first()?));
-    if let Some((focal, full)) = plate.and_then(|h| h.focal_mm.zip(h.focal_35mm_mm)).filter(|(_, f)| *f > 0.0)
-    {
-        let width_mm = (360.0 * focal / full).round() / 10.0;
-        set(document, &["ingest"], "sensor_width_mm", width_mm.into());
-    }
+/// Without photographs of a grid, the plate's place is the probe's and its pose comes from vanishing lines.
+fn without_grid(document: &mut DocumentMut, roles: &BTreeMap<Role, Vec<String>>) {
     if [Role::Grid, Role::PlateWithGrid].iter().all(|r| !roles.contains_key(r)) {
         set(document, &["calibrate"], "pose", "vanishing_lines".into());
         set(document, &["calibrate"], "thickness_m", 0.0.into());
@@ -254,7 +243,7 @@ const ANNOTATIONS_HEAD: &str = "\
 # image = \"probe.jpg\"
 # outline = [[x, y], ...]                # 5 or more points all round
 #
-# [[primitive]]                          # kind: room, ground, box, quad, polygon
+# [[primitive]]                          # kind: room, ground, box, wedge, cylinder, extrusion, quad, polygon
 # name = \"room\"
 # kind = \"room\"
 # yaw = \"free\"

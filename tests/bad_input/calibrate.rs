@@ -11,8 +11,8 @@ fn calibration_refuses_what_it_cannot_find() {
             &[Set("[ingest.roles]\ngrid = []\nplate_with_grid = []\n"), Remove("annotations.toml")],
             "insitu run case.toml --to calibrate",
             1,
-            "finding lens and pose of plate_000.jpg: no grid of 7×5 inner corners is seen whole",
-            "show the whole grid, sharp and larger, and check `calibrate.inner_corners`",
+            "finding lens and pose of plate_000.jpg: no grid of 7×5 inner corners is seen, whole or in part",
+            "show more of the grid, sharp and larger, and check `calibrate.inner_corners`",
         ),
         case(
             "lines parallel in the picture",

@@ -43,8 +43,8 @@ fn the_ball_must_be_whole_and_where_it_is_said_to_be() {
             &[Flat("probe", 0)],
             "probe",
             1,
-            "looking for the grid in the photographs of role `probe`: no grid of 7×5 inner corners is seen whole",
-            "show the whole grid, sharp and larger, and check `calibrate.inner_corners`",
+            "looking for the grid in the photographs of role `probe`: no grid of 7×5 inner corners is seen, whole or in part",
+            "show more of the grid, sharp and larger, and check `calibrate.inner_corners`",
         ),
         case(
             "no photograph of the ball",
