@@ -2,6 +2,7 @@
 
 mod markers;
 mod partial;
+mod squares;
 
 pub(super) use markers::check;
 
@@ -66,11 +67,7 @@ pub fn find_oriented(image: &Image<u8>, settings: &config::Calibrate) -> Result<
     let turned = match settings.disc {
         Disc::None => {
             let pixel_from_board = homography(&view).ok_or(Problem::NoPose)?;
-            let x = |at: f64| {
-                let p = pixel_from_board * Vector3::new(at, 0.0, 1.0);
-                p.x / p.z
-            };
-            x(settings.square_m) < x(0.0)
+            squares::sides(&pixel_from_board, Point2::origin(), settings.square_m)[0].x < 0.0
         }
         corner => {
             let here = disc_darkness(image, &view, settings, -1.0);
@@ -116,8 +113,11 @@ fn mean_around(
     let steps = [-1.0, -0.5, 0.0, 0.5, 1.0];
     let (mut sum, mut count) = (0.0, 0.0);
     for (x, y) in steps.iter().flat_map(|x| steps.map(|y| (*x, y))).filter(|(x, y)| x * x + y * y <= 1.0) {
-        let p = pixel_from_board * Vector3::new(centre.x + radius * x, centre.y + radius * y, 1.0);
-        sum += bilinear(image, p.x / p.z, p.y / p.z)?;
+        sum += squares::seen(
+            image,
+            pixel_from_board,
+            Point2::new(centre.x + radius * x, centre.y + radius * y),
+        )?;
         count += 1.0;
     }
     Some(sum / count)

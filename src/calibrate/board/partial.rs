@@ -1,12 +1,13 @@
 //! A chessboard of which a part is hidden: corners that hang together are laid onto the board where squares and margin fit best,
 //! and joined by every other one that is seen.
 
-use super::{bilinear, corner_positions, homography};
+use super::squares::{BESIDE, BETWEEN, REACH, fit, is_corner, pixel, sides};
+use super::{corner_positions, homography};
 use crate::calibrate::Problem;
 use crate::config;
 use crate::image::Image;
 use crate::vision::{self, BoardView};
-use nalgebra::{Matrix3, Point2, Vector2, Vector3};
+use nalgebra::{Point2, Vector2};
 use std::collections::BTreeMap;
 
 /// Corners that are needed to lay the part onto the board, and in all.
@@ -18,14 +19,6 @@ const LEAST_FIT: f64 = 0.7;
 const LEAD: f64 = 0.05;
 /// Corners more or fewer that may be false ones.
 const FALSE: usize = 2;
-/// A corner is one if the squares at it differ by this share of the difference between white and black.
-const CONTRAST: f64 = 0.4;
-/// Where the four squares are looked at, from the corner they meet at, in squares.
-const BESIDE: [[f64; 2]; 2] = [[0.2, 0.2], [0.4, 0.4]];
-/// Where all are thought to be seen, if only blurred; outer squares may have been cut in half.
-const BETWEEN: [[f64; 2]; 1] = [[0.25, 0.25]];
-/// Where it is open how large the squares are: next to the corners beside it, too.
-const REACH: [[f64; 2]; 4] = [[0.2, 0.2], [0.4, 0.4], [0.75, 0.25], [0.25, 0.75]];
 /// Sides of squares, of the way between corners that were found beside each other: one between them may be left out.
 const SHARES: [f64; 2] = [1.0, 0.5];
 /// A corner moves less than this from where the others expect it, in squares, or a pixel.
@@ -37,7 +30,7 @@ const MOST_ROWS: i64 = 100;
 const TURNS: usize = 3;
 /// In a window half as wide a corner is where it was, px: nothing else reaches into the window.
 const STAYS_PX: f64 = 0.25;
-/// It is off its place by as much as those beside it, px.
+/// It is off its place by as much as those on both sides of it, px.
 const MOST_ODD_PX: f64 = 0.5;
 /// Half the side of the window in which a corner's gradients count, in squares, and at most, px.
 const WINDOW: f64 = 0.3;
@@ -99,7 +92,8 @@ fn chosen<'a>(placed: &'a [Placed], settings: &config::Calibrate) -> Option<&'a 
     let is_alone = others().all(|p| p.view.board.len() + FALSE < best.view.board.len());
     let half = 2 * best.view.board.len() >= corner_positions(settings).len();
     let fits_best = others().all(|p| best.fit >= p.fit + LEAD);
-    (is_alone && half || best.fit >= LEAST_FIT && fits_best).then_some(best)
+    let fits_as_well = others().all(|p| p.fit < best.fit + LEAD);
+    (is_alone && half && fits_as_well || best.fit >= LEAST_FIT && fits_best).then_some(best)
 }
 
 /// The most corners that hang together, grown from one by the sides of the squares beside it, numbered as seen from the front. What
@@ -187,66 +181,6 @@ fn placements(part: &[Corner], settings: &config::Calibrate) -> impl Iterator<It
     })
 }
 
-/// Whether a square is black, counted from the middle of the one at the lower left.
-fn is_black(i: i64, j: i64) -> bool {
-    (i + j) % 2 == 0
-}
-
-fn pixel(pixel_from_board: &Matrix3<f64>, at: Point2<f64>) -> Point2<f64> {
-    let p = pixel_from_board * Vector3::new(at.x, at.y, 1.0);
-    Point2::new(p.x / p.z, p.y / p.z)
-}
-
-/// Sides of the squares at a place on the board, px.
-fn sides(pixel_from_board: &Matrix3<f64>, at: Point2<f64>, square_m: f64) -> [Vector2<f64>; 2] {
-    [Vector2::x(), Vector2::y()].map(|along| {
-        let half = along * (square_m / 2.0);
-        pixel(pixel_from_board, at + half) - pixel(pixel_from_board, at - half)
-    })
-}
-
-fn seen(image: &Image<u8>, pixel_from_board: &Matrix3<f64>, at: Point2<f64>) -> Option<f64> {
-    let p = pixel(pixel_from_board, at);
-    bilinear(image, p.x, p.y)
-}
-
-/// Share of squares and of places in the margin that are as bright as they should be. Which squares are black is open: the brighter
-/// kind is white.
-fn fit(image: &Image<u8>, pixel_from_board: &Matrix3<f64>, settings: &config::Calibrate) -> Option<f64> {
-    let [nx, ny] = settings.inner_corners.map(i64::from);
-    let at = |i: f64, j: f64| {
-        let middle = |n: i64| (n as f64 - 1.0) / 2.0;
-        Point2::new(i - middle(nx), j - middle(ny)) * settings.square_m
-    };
-    // Squares by their lower left corner, the margin half a square wide around them. Outer squares may have been cut in half.
-    let squares: Vec<(i64, i64)> = (-1..ny).flat_map(|j| (-1..nx).map(move |i| (i, j))).collect();
-    let within = |k: i64, n: i64| (k as f64 + 0.5).clamp(-0.25, n as f64 - 0.75);
-    let bright = |&(i, j): &(i64, i64)| seen(image, pixel_from_board, at(within(i, nx), within(j, ny)));
-    let [black, white] = [true, false].map(|kind| {
-        let own = squares.iter().filter(|(i, j)| is_black(*i, *j) == kind);
-        own.map(bright).collect::<Vec<Option<f64>>>()
-    });
-    let (middle_x, middle_y) = ((-1..nx).map(|i| i as f64 + 0.5), (-1..ny).map(|j| j as f64 + 0.5));
-    let (low, high) = (-1.25, 0.25);
-    let sides = middle_x
-        .flat_map(|x| [at(x, low), at(x, ny as f64 + high)])
-        .chain(middle_y.flat_map(|y| [at(low, y), at(nx as f64 + high, y)]));
-    let margin: Vec<Option<f64>> = sides.map(|p| seen(image, pixel_from_board, p)).collect();
-    let median = |values: &[Option<f64>]| {
-        let mut known: Vec<f64> = values.iter().flatten().copied().collect();
-        known.sort_by(f64::total_cmp);
-        known.get(known.len() / 2).copied()
-    };
-    let threshold = (median(&black)? + median(&white)?) / 2.0;
-    let right = |values: &[Option<f64>], is_white: bool| {
-        values.iter().flatten().filter(|v| (**v > threshold) == is_white).count()
-    };
-    let kinds = [[true, false], [false, true]];
-    let squares = kinds.map(|[a, b]| right(&black, a) + right(&white, b)).into_iter().max()?;
-    let all = black.len() + white.len() + margin.len();
-    Some((squares + right(&margin, true)) as f64 / all as f64)
-}
-
 /// All corners that are seen, where the gradients around them ask for.
 fn joined(image: &Image<u8>, mut view: BoardView, settings: &config::Calibrate) -> Option<BoardView> {
     // Once more from more corners: the lens may bend the board.
@@ -279,50 +213,25 @@ fn joined(image: &Image<u8>, mut view: BoardView, settings: &config::Calibrate) 
     Some(view)
 }
 
-/// Which corners, row by row, are moved as those beside them: a lens moves them alike, what hides a part of a square moves one.
+/// Which corners, row by row, are moved as those on both sides of them: a lens moves them alike, what hides a part of a square moves one.
 fn agreeing(mut off: Vec<Option<Vector2<f64>>>, columns: usize) -> Vec<usize> {
+    let rows = off.len() / columns;
     loop {
-        let rows = off.len() / columns;
-        let beside = |k: usize| {
-            let (i, j) = (k % columns, k / columns);
-            let steps = [
-                (i > 0, k.wrapping_sub(1)),
-                (i + 1 < columns, k + 1),
-                (j > 0, k.wrapping_sub(columns)),
-                (j + 1 < rows, k + columns),
-            ];
-            steps.into_iter().filter(|s| s.0).filter_map(|s| off[s.1]).collect::<Vec<_>>()
-        };
+        let between = |k: usize, a: usize, b: usize| Some((off[k]? - (off[a]? + off[b]?) / 2.0).norm());
         let odd = |k: usize| {
-            let (own, beside) = (off[k]?, beside(k));
-            let mean = beside.iter().sum::<Vector2<f64>>() / beside.len().max(1) as f64;
-            Some((k, (own - mean).norm())).filter(|o| o.1 > MOST_ODD_PX && !beside.is_empty())
+            let (i, j) = (k % columns, k / columns);
+            let along = (i > 0 && i + 1 < columns).then(|| between(k, k - 1, k + 1)).flatten();
+            let across = (j > 0 && j + 1 < rows).then(|| between(k, k - columns, k + columns)).flatten();
+            along
+                .into_iter()
+                .chain(across)
+                .reduce(f64::max)
+                .filter(|odd| *odd > MOST_ODD_PX)
+                .map(|odd| (k, odd))
         };
         match (0..off.len()).filter_map(odd).max_by(|a, b| a.1.total_cmp(&b.1)) {
             Some((k, _)) => off[k] = None,
             None => return (0..off.len()).filter(|k| off[*k].is_some()).collect(),
         }
     }
-}
-
-/// Whether two squares at a corner, diagonally across, are bright and the two others dark, at places by the squares' sides; `None` where
-/// one is outside the picture.
-fn is_corner(
-    image: &Image<u8>,
-    corner: Point2<f64>,
-    [u, v]: [Vector2<f64>; 2],
-    places: &[[f64; 2]],
-) -> Option<bool> {
-    let mut diagonals = [(f64::INFINITY, 0.0f64); 2];
-    for [a, b] in places {
-        for (x, y) in [(1.0, 1.0), (-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0)] {
-            let p = corner + u * (x * a) + v * (y * b);
-            let bright = bilinear(image, p.x, p.y)?;
-            let (least, most) = &mut diagonals[usize::from(x * y < 0.0)];
-            (*least, *most) = (least.min(bright), most.max(bright));
-        }
-    }
-    let [a, b] = diagonals;
-    let (gap, span) = ((a.0 - b.1).max(b.0 - a.1), a.1.max(b.1) - a.0.min(b.0));
-    Some(gap > CONTRAST * span.max(1.0))
 }

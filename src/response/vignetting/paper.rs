@@ -200,4 +200,21 @@ mod tests {
         let refused = Vignetting::estimate(&[], &Response::srgb(), &grid);
         assert!(matches!(refused, Err(Problem::VignettingOpen { photographs: 0, .. })), "{refused:?}");
     }
+
+    #[test]
+    fn a_grid_partly_hidden_is_no_field() {
+        let (lens, grid) = (Vignetting::given([0.0; 3]).unwrap(), config::Calibrate::default());
+        let whole = shoot(&lens, [0.0, 0.0, 0.9], [0.3, 0.1, 0.0], 0);
+        let hidden = |x: usize, y: usize| (x as f64 - 330.0).hypot(y as f64 - 240.0) < 50.0;
+        let covered =
+            Image::from_fn(
+                SIZE.0,
+                SIZE.1,
+                |x, y| if hidden(x, y) { Code([0.4; 3]) } else { *whole.at(x, y) },
+            );
+        let seen = board::find(&calibrate::grey(&covered), &grid).unwrap().pixels.len();
+        assert!((20..35).contains(&seen), "{seen}");
+        assert!(field(&whole, &Response::srgb(), &grid).is_some());
+        assert!(field(&covered, &Response::srgb(), &grid).is_none());
+    }
 }
