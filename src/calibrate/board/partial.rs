@@ -7,7 +7,7 @@ use crate::calibrate::Problem;
 use crate::config;
 use crate::image::Image;
 use crate::vision::{self, BoardView};
-use nalgebra::{Point2, Vector2};
+use nalgebra::{DMatrix, Point2, Vector2};
 use std::collections::BTreeMap;
 
 /// Corners that are needed to lay the part onto the board, and in all.
@@ -30,7 +30,7 @@ const MOST_ROWS: i64 = 100;
 const TURNS: usize = 3;
 /// In a window half as wide a corner is where it was, px: nothing else reaches into the window.
 const STAYS_PX: f64 = 0.25;
-/// It is off its place by as much as those on both sides of it, px.
+/// It is off its place by as much as the others around it, px.
 const MOST_ODD_PX: f64 = 0.5;
 /// Half the side of the window in which a corner's gradients count, in squares, and at most, px.
 const WINDOW: f64 = 0.3;
@@ -199,9 +199,8 @@ fn joined(image: &Image<u8>, mut view: BoardView, settings: &config::Calibrate) 
                 && (moved[*k] - expected[*k]).norm() < (MOST_MOVED * shorter(&sides[*k])).max(1.0)
                 && is_corner(image, moved[*k], sides[*k], &BESIDE).unwrap_or(false)
         };
-        let off: Vec<Option<Vector2<f64>>> =
-            (0..board.len()).map(|k| is_seen(&k).then(|| moved[k] - expected[k])).collect();
-        let all = agreeing(off, settings.inner_corners[0] as usize);
+        let all = (0..board.len()).filter(is_seen).collect();
+        let all = agreeing(all, &board, |k| moved[k] - expected[k]);
         view = BoardView {
             board: all.iter().map(|k| board[*k]).collect(),
             pixels: all.iter().map(|k| moved[*k]).collect(),
@@ -213,25 +212,28 @@ fn joined(image: &Image<u8>, mut view: BoardView, settings: &config::Calibrate) 
     Some(view)
 }
 
-/// Which corners, row by row, are moved as those on both sides of them: a lens moves them alike, what hides a part of a square moves one.
-fn agreeing(mut off: Vec<Option<Vector2<f64>>>, columns: usize) -> Vec<usize> {
-    let rows = off.len() / columns;
-    loop {
-        let between = |k: usize, a: usize, b: usize| Some((off[k]? - (off[a]? + off[b]?) / 2.0).norm());
-        let odd = |k: usize| {
-            let (i, j) = (k % columns, k / columns);
-            let along = (i > 0 && i + 1 < columns).then(|| between(k, k - 1, k + 1)).flatten();
-            let across = (j > 0 && j + 1 < rows).then(|| between(k, k - columns, k + columns)).flatten();
-            along
-                .into_iter()
-                .chain(across)
-                .reduce(f64::max)
-                .filter(|odd| *odd > MOST_ODD_PX)
-                .map(|odd| (k, odd))
-        };
-        match (0..off.len()).filter_map(odd).max_by(|a, b| a.1.total_cmp(&b.1)) {
-            Some((k, _)) => off[k] = None,
-            None => return (0..off.len()).filter(|k| off[*k].is_some()).collect(),
+/// The corners that are off as others are: a lens moves them by nearly a cubic of their places (its first radial term is one), what
+/// hides a part of a square moves one corner.
+fn agreeing(
+    mut corners: Vec<usize>,
+    board: &[Point2<f64>],
+    off: impl Fn(usize) -> Vector2<f64>,
+) -> Vec<usize> {
+    let unit = board.iter().map(|p| p.coords.amax()).fold(f64::MIN_POSITIVE, f64::max);
+    let powers: Vec<[i32; 2]> = (0..=3).flat_map(|n| (0..=n).map(move |k| [n - k, k])).collect();
+    while corners.len() >= 2 * powers.len() {
+        let terms = DMatrix::from_fn(corners.len(), powers.len(), |row, term| {
+            let at = board[corners[row]] / unit;
+            at.x.powi(powers[term][0]) * at.y.powi(powers[term][1])
+        });
+        let seen = DMatrix::from_fn(corners.len(), 2, |row, axis| off(corners[row])[axis]);
+        let Ok(cubic) = terms.clone().svd(true, true).solve(&seen, 1e-9) else { break };
+        let odd = seen - terms * cubic;
+        let worst = (0..corners.len()).max_by(|a, b| odd.row(*a).norm().total_cmp(&odd.row(*b).norm()));
+        match worst.filter(|k| odd.row(*k).norm() > MOST_ODD_PX) {
+            Some(k) => drop(corners.remove(k)),
+            None => break,
         }
     }
+    corners
 }
