@@ -33,7 +33,7 @@ const CLUSTER: f64 = 0.2;
 const NEGLIGIBLE: f64 = 0.05;
 /// A segment counts as an edge from this share on.
 const AGREES: f64 = 0.5;
-/// Turns of expectation and maximisation for each of these, and for the best of them.
+/// Turns of expectation and maximisation by the longest segments, and by all.
 const TURNS: [usize; 2] = [6, 40];
 /// Without a stated one the focal length is sought in this range, of the image's diagonal: 17 to 105 mm on 24 × 36 mm.
 const FOCAL: std::ops::Range<f64> = 0.4..2.5;
@@ -117,7 +117,7 @@ impl Judge {
         self.weight.sqrt() * diagonal_px
     }
 
-    /// Logarithm of the same for all three, or none.
+    /// Logarithm of how much likelier it is as an edge along one of the three, or none, than with any direction alike.
     fn evidence(&self, points: &[Vector3<f64>; 3]) -> f64 {
         let sum: f64 = points.iter().map(|v| self.likelihood(v)).sum();
         (1.0 - PRIOR + PRIOR / 3.0 * sum).ln()
