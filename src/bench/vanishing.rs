@@ -70,6 +70,8 @@ struct Errors {
     /// Of focal lengths from labelled lines and from found ones, %.
     labelled: Vec<f64>,
     searched: Vec<f64>,
+    /// Of the found ones, in their own standard deviations.
+    in_sigmas: Vec<f64>,
     /// Angles between directions found and known, degrees: those known each by itself, and as orthogonal ones.
     single: Vec<f64>,
     orthogonal: Vec<f64>,
@@ -135,9 +137,10 @@ fn folder(path: &Path, truth: &Path, printer: &Printer) -> Result<()> {
         printer.data(&format!("{name:<28} angle accuracy @3/5/10 degrees{cells}   within them, %{within}"));
     }
     printer.data(&format!(
-        "median error of the focal length: labelled {:.2} %, found {:.2} %; median time {:.0} ms",
+        "median error of the focal length: labelled {:.2} %, found {:.2} % (χ² {}); median time {:.0} ms",
         median(&all.labelled),
         median(&all.searched),
+        chi_squared(&all.in_sigmas),
         median(&all.ms)
     ));
     Ok(())
@@ -149,6 +152,11 @@ fn median(values: &[f64]) -> f64 {
     sorted.sort_by(f64::total_cmp);
     let n = sorted.len();
     if n == 0 { f64::NAN } else { (sorted[(n - 1) / 2] + sorted[n / 2]) / 2.0 }
+}
+
+/// Sum of squares of errors in standard deviations, and how many: about as many where the deviations are right.
+fn chi_squared(in_sigmas: &[f64]) -> String {
+    format!("{:.1} of {}", in_sigmas.iter().map(|e| e * e).sum::<f64>(), in_sigmas.len())
 }
 
 fn one(folder: &Path, entry: &Entry, all: &mut Errors, printer: &Printer) -> Result<()> {
@@ -200,6 +208,7 @@ fn one(folder: &Path, entry: &Entry, all: &mut Errors, printer: &Printer) -> Res
     let searched = match alone {
         Ok(fit) => {
             all.searched.push(error(fit.room.focal_px).abs());
+            all.in_sigmas.push((fit.room.focal_px - entry.f_px) / fit.focal_sigma_px());
             focal(error(fit.room.focal_px), &fit)
         }
         Err(problem) => refused(&problem),
@@ -236,6 +245,7 @@ fn angles_to(camera_from_room: &Matrix3<f64>, known: &[[f64; 3]; 3]) -> [f64; 3]
 /// The focal length of captures' plates, with neither marks nor EXIF, against their truth.
 fn of_captures(paths: &[PathBuf], printer: &Printer) -> Result<()> {
     printer.data(&format!("\n{:<28}{:>16}{:>26}", "plate alone", "true, px", "found"));
+    let mut in_sigmas = Vec::new();
     for settings in validate::settings_under(paths)? {
         let workspace = Workspace::open(&settings)?;
         let own = settings.file_name().is_some_and(|n| n == "pipeline.toml");
@@ -254,12 +264,16 @@ fn of_captures(paths: &[PathBuf], printer: &Printer) -> Result<()> {
             let centre = Point2::new(size[0] / 2.0, size[1] / 2.0);
             let found = manhattan::find(&segments, centre, size[0].hypot(size[1]), None);
             let cell = match found.and_then(|f| f.fit.certain()) {
-                Ok(fit) => focal(100.0 * (fit.room.focal_px / focal_px - 1.0), &fit),
+                Ok(fit) => {
+                    in_sigmas.push((fit.room.focal_px - focal_px) / fit.focal_sigma_px());
+                    focal(100.0 * (fit.room.focal_px / focal_px - 1.0), &fit)
+                }
                 Err(problem) => refused(&problem),
             };
             let name = format!("{} {name}", validate::name(&settings));
             printer.data(&format!("{name:<28}{focal_px:>16.1}{cell:>26}"));
         }
     }
+    printer.data(&format!("χ² {}", chi_squared(&in_sigmas)));
     Ok(())
 }

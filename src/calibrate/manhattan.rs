@@ -1,17 +1,20 @@
 //! Edges along the room's three directions, found instead of marked: segments are grouped by the orthogonal vanishing
 //! points that explain most of them (Coughlan and Yuille 1999), drawn at random from the segments themselves.
 
+mod refine;
+mod rival;
+
 use super::Problem;
-use super::vanishing::{Edge, EdgeFit, Inner, Room, RoomEdges, StatedFocal, Weighed};
-use crate::least_squares::Loss;
+use super::vanishing::{Edge, EdgeFit, Room, RoomEdges, StatedFocal};
 use nalgebra::{Matrix3, Point2, Rotation3, Vector2, Vector3};
 use rand::rngs::SmallRng;
 use rand::{Rng, SeedableRng};
 use rayon::prelude::*;
+use refine::refine;
 use std::f64::consts::PI;
 
-/// Accuracy of a segment's end, px.
-const SEGMENT_SIGMA_PX: f64 = 0.5;
+/// Accuracy of a segment's end, px: what rendered pictures show.
+const SEGMENT_SIGMA_PX: f64 = 0.3;
 /// Turn of a segment against its direction in the room that has nothing to do with its length, rad.
 const DIRECTION_SIGMA: f64 = 0.3 * PI / 180.0;
 /// Shortest segment, of the image's diagonal.
@@ -21,14 +24,17 @@ const PRIOR: f64 = 0.5;
 /// Rooms tried, and how many of the longest segments judge each.
 const TRIES: usize = 4000;
 const JUDGES: usize = 250;
-/// So many of the best are refined.
-const REFINED: usize = 6;
+/// So many of the best are refined, not two of them with directions and focal lengths as near as this.
+const REFINED: usize = 8;
+const NEAR: [f64; 2] = [0.5 * PI / 180.0, 0.02];
+/// Side of the squares of the picture whose segments count as one cluster, of its diagonal: about a quarter of its width.
+const CLUSTER: f64 = 0.2;
 /// A smaller share of a segment is left out.
 const NEGLIGIBLE: f64 = 0.05;
-/// Turns of expectation and maximisation for each of these, and for the best of them.
-const TURNS: [usize; 2] = [3, 12];
-/// How far from right angles the directions of real walls are, rad.
-const SQUARE_SIGMA: f64 = 0.1 * PI / 180.0;
+/// A segment counts as an edge from this share on.
+const AGREES: f64 = 0.5;
+/// Turns of expectation and maximisation by the longest segments, and by all.
+const TURNS: [usize; 2] = [6, 40];
 /// Without a stated one the focal length is sought in this range, of the image's diagonal: 17 to 105 mm on 24 × 36 mm.
 const FOCAL: std::ops::Range<f64> = 0.4..2.5;
 /// Log-likelihood ratio of a segment, on average, and of all as if they were equally long, below which chance explains them as
@@ -98,7 +104,20 @@ impl Judge {
         (PI / 2.0).sqrt() / self.sigma * (-0.5 * sine2 / (self.sigma * self.sigma)).exp()
     }
 
-    /// Logarithm of the same for all three, or none.
+    /// The direction that it agrees with best, and what share of it belongs to each.
+    fn shares(&self, points: &[Vector3<f64>; 3]) -> (usize, [f64; 3]) {
+        let likelihoods = points.each_ref().map(|v| self.likelihood(v));
+        let best = (0..3).max_by(|a, b| likelihoods[*a].total_cmp(&likelihoods[*b])).unwrap_or(0);
+        let all = 1.0 - PRIOR + PRIOR / 3.0 * likelihoods.iter().sum::<f64>();
+        (best, likelihoods.map(|l| PRIOR / 3.0 * l / all))
+    }
+
+    /// Its length, px.
+    fn length_px(&self, diagonal_px: f64) -> f64 {
+        self.weight.sqrt() * diagonal_px
+    }
+
+    /// Logarithm of how much likelier it is as an edge along one of the three, or none, than with any direction alike.
     fn evidence(&self, points: &[Vector3<f64>; 3]) -> f64 {
         let sum: f64 = points.iter().map(|v| self.likelihood(v)).sum();
         (1.0 - PRIOR + PRIOR / 3.0 * sum).ln()
@@ -143,19 +162,33 @@ pub fn find(
         })
         .collect();
     tried.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let judged = |room: Room, of: usize, turns| {
-        let (edges, fit) = refine(room, &judges[..of], centre, diagonal_px, stated, turns)?;
-        let scaled = Room { focal_px: fit.room.focal_px / diagonal_px, ..fit.room };
-        Some((evidence(&scaled, &judges[..of]), edges, fit))
-    };
-    let refined = tried[..tried.len().min(REFINED)].par_iter().filter_map(|(_, room)| {
-        judged(Room { focal_px: room.focal_px * diagonal_px, ..*room }, few.len(), TURNS[0])
+    let scaled = |room: &Room| Room { focal_px: room.focal_px / diagonal_px, ..*room };
+    let mut starts = Vec::<Room>::new();
+    for (_, room) in tried {
+        let near = |other: &Room| {
+            room.camera_from_room.angle_to(&other.camera_from_room) < NEAR[0]
+                && (room.focal_px / other.focal_px).ln().abs() < NEAR[1]
+        };
+        if starts.len() < REFINED && !starts.iter().any(near) {
+            starts.push(room);
+        }
+    }
+    // By the longest segments, then by all.
+    let refined = starts.par_iter().filter_map(|room| {
+        let start = Room { focal_px: room.focal_px * diagonal_px, ..*room };
+        let near = refine(start, few, centre, diagonal_px, stated, TURNS[0])?;
+        let fit = refine(near.room, &judges, centre, diagonal_px, stated, TURNS[1])?;
+        Some((evidence(&scaled(&fit.room), &judges), fit))
     });
-    let best = refined
-        .max_by(|a, b| a.0.total_cmp(&b.0))
-        .and_then(|(_, _, fit)| judged(fit.room, judges.len(), TURNS[1]));
-    let (evidence, edges, fit) = best.ok_or_else(|| none(0))?;
-    if is_chance(evidence, &judges, CHANCE) {
+    let mut refined: Vec<(f64, EdgeFit)> = refined.collect();
+    refined.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let mut refined = refined.into_iter();
+    let (evidence, mut fit) = refined.next().ok_or_else(|| none(0))?;
+    let rivals: Vec<EdgeFit> = refined.map(|(_, fit)| fit).collect();
+    rival::count(&mut fit, &rivals, &judges, diagonal_px);
+    let edges = agreeing(&scaled(&fit.room), &judges);
+    let within = stated.is_some() || FOCAL.contains(&(fit.room.focal_px / diagonal_px));
+    if !within || is_chance(evidence, &judges, CHANCE) {
         return Err(none(edges.along.iter().map(Vec::len).sum()));
     }
     Ok(Found { edges, fit, segments: judges.len() })
@@ -202,12 +235,11 @@ pub fn about_vertical(
             .map(|(_, away)| away),
     };
     let room = scaled(&away.ok_or(none(0))?);
-    let full = Room { focal_px, ..room };
-    let (edges, _) = agreeing(&full, &judges, centre, diagonal_px);
+    let edges = agreeing(&room, &judges);
     if is_chance(evidence(&room, &judges), &judges, CHANCE_TURN) {
         return Err(none(edges.along.iter().map(Vec::len).sum()));
     }
-    Ok((full, edges))
+    Ok((Room { focal_px, ..room }, edges))
 }
 
 /// Segments long enough to count, the longest first.
@@ -276,56 +308,17 @@ fn ordered(axes: [Vector3<f64>; 3]) -> Rotation3<f64> {
     Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[x, z.cross(&x), z]))
 }
 
-/// Expectation maximisation: what share of each segment belongs to the direction that it agrees with best, and the room that
-/// fits the segments by these shares, in turn.
-fn refine(
-    start: Room,
-    judges: &[Judge],
-    centre: Point2<f64>,
-    diagonal_px: f64,
-    stated: Option<StatedFocal>,
-    turns: usize,
-) -> Option<(RoomEdges, EdgeFit)> {
-    let mut room = start;
-    let mut last = None;
-    for _ in 0..turns {
-        let (edges, along) = agreeing(&room, judges, centre, diagonal_px);
-        let weighed =
-            Weighed { along, square_sigma: SQUARE_SIGMA, loss: Loss::Squares, inner: Inner::default() };
-        let fit = weighed.fit(room, centre, stated).ok()?;
-        room = fit.room;
-        last = Some((edges, fit));
-    }
-    last
-}
-
-/// Segments by the direction that each agrees with best, pointing along it: those that rather belong to it than not, and all
-/// with the square roots of their weights, 1/px.
-fn agreeing(
-    room: &Room,
-    judges: &[Judge],
-    centre: Point2<f64>,
-    diagonal_px: f64,
-) -> (RoomEdges, [Vec<(Edge, f64)>; 3]) {
+/// Segments by the direction that each rather belongs to than not, pointing along it. Lengths in units of the diagonal.
+fn agreeing(room: &Room, judges: &[Judge]) -> RoomEdges {
     let points = [0, 1, 2].map(|k| room.vanishing_point(k, Point2::origin()));
-    let scaled = points.map(|v| Vector3::new(v.x / diagonal_px, v.y / diagonal_px, v.z));
-    let (mut edges, mut weighed) = (RoomEdges::default(), <[Vec<(Edge, f64)>; 3]>::default());
-    let mean = judges.iter().map(|j| j.weight).sum::<f64>() / judges.len().max(1) as f64;
+    let mut edges = RoomEdges::default();
     for judge in judges {
-        let likelihoods = scaled.map(|v| judge.likelihood(&v));
-        let best = (0..3).max_by(|a, b| likelihoods[*a].total_cmp(&likelihoods[*b])).unwrap_or(0);
-        let share = PRIOR / 3.0 * likelihoods[best] / judge.evidence(&scaled).exp();
-        let [p, q] = judge.edge;
-        let (v, middle) = (points[best], nalgebra::center(&p, &q) - centre);
-        let turned = (q - p).dot(&(v.xy() - middle * v.z)) < 0.0;
-        let edge = if turned { [q, p] } else { [p, q] };
-        let sigma_px = SEGMENT_SIGMA_PX.hypot(DIRECTION_SIGMA * (q - p).norm() / 2f64.sqrt());
-        if share > NEGLIGIBLE {
-            weighed[best].push((edge, (share * judge.weight / mean).sqrt() / sigma_px));
-        }
-        if share > 0.5 {
-            edges.along[best].push(edge);
+        let (best, shares) = judge.shares(&points);
+        if shares[best] > AGREES {
+            let towards = points[best].xy() - judge.middle * points[best].z;
+            let [p, q] = judge.edge;
+            edges.along[best].push(if judge.direction.dot(&towards) < 0.0 { [q, p] } else { [p, q] });
         }
     }
-    (edges, weighed)
+    edges
 }

@@ -210,15 +210,15 @@ pub fn fit_open(
 
 /// Edges with the square root of what each counts, 1/px, for a fit from a start near enough.
 #[derive(Debug, Clone)]
-pub struct Weighed {
+struct Weighed {
     /// By direction.
-    pub along: [Vec<(Edge, f64)>; 3],
+    along: [Vec<(Edge, f64)>; 3],
     /// Standard deviation of the room's directions from right angles, rad.
-    pub square_sigma: f64,
+    square_sigma: f64,
     /// How residuals count.
-    pub loss: Loss,
+    loss: Loss,
     /// What else is found.
-    pub inner: Inner,
+    inner: Inner,
 }
 
 /// Parameters of a fit: focal length, turn, and leanings.
@@ -233,12 +233,7 @@ fn straightened(p: &Point2<f64>, centre: Point2<f64>, focal_px: f64, k1: f64) ->
 
 impl Weighed {
     /// Focal length and orientation; each direction may depart from the right angle as far as its deviation allows.
-    pub fn fit(
-        &self,
-        start: Room,
-        centre: Point2<f64>,
-        stated: Option<StatedFocal>,
-    ) -> Result<EdgeFit, Problem> {
+    fn fit(&self, start: Room, centre: Point2<f64>, stated: Option<StatedFocal>) -> Result<EdgeFit, Problem> {
         let room = |x: &DVector<f64>| Room {
             focal_px: start.focal_px * x[0].exp(),
             camera_from_room: Rotation3::new(Vector3::new(x[1], x[2], x[3])) * start.camera_from_room,
