@@ -65,7 +65,7 @@ pub const STAGES: &[Stage] = &[
     },
     Stage {
         name: "calibrate",
-        version: 4,
+        version: 5,
         reads: &["ingest"],
         settings: &["model.mark_sigma_px", "model.max_rms_px"],
         about: "find lens and camera poses",
