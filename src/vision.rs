@@ -102,9 +102,17 @@ pub fn chessboard_corners(image: &Image<u8>, inner: [u32; 2]) -> Result<Option<V
     Ok(None)
 }
 
-/// Rectangles of a chessboard's inner corners, at least three by three, row by row, px, and how many are in a row: guesses, some of
-/// whose corners may be none, by the sector-based detector.
-pub fn chessboard_parts(image: &Image<u8>) -> Result<Vec<(usize, Vec<Point2<f64>>)>, Problem> {
+/// A rectangle of a chessboard's inner corners.
+pub struct CornerRows {
+    /// Corners in a row.
+    pub columns: usize,
+    /// Row by row, px.
+    pub pixels: Vec<Point2<f64>>,
+}
+
+/// Rectangles of a chessboard's inner corners, at least three by three: guesses, some of whose corners may be none, by the
+/// sector-based detector.
+pub fn chessboard_parts(image: &Image<u8>) -> Result<Vec<CornerRows>, Problem> {
     let flags = calib3d::CALIB_CB_NORMALIZE_IMAGE | calib3d::CALIB_CB_LARGER;
     let (least, mut parts) = (Size::new(3, 3), Vec::new());
     for enlargement in [enlargement(image), 1.0] {
@@ -114,7 +122,7 @@ pub fn chessboard_parts(image: &Image<u8>) -> Result<Vec<(usize, Vec<Point2<f64>
             calib3d::find_chessboard_corners_sb_with_meta(&picture, least, &mut corners, flags, &mut meta)?;
             let columns = meta.cols().max(0) as usize;
             if columns > 0 && corners.len() == columns * meta.rows() as usize {
-                parts.push((columns, points(&corners, enlargement)));
+                parts.push(CornerRows { columns, pixels: points(&corners, enlargement) });
             }
         }
     }

@@ -6,7 +6,7 @@ use super::{corner_positions, homography};
 use crate::calibrate::Problem;
 use crate::config;
 use crate::image::Image;
-use crate::vision::{self, BoardView};
+use crate::vision::{self, BoardView, CornerRows};
 use nalgebra::{DMatrix, Point2, Vector2};
 use std::collections::BTreeMap;
 
@@ -56,9 +56,9 @@ pub(super) fn chessboard(
     settings: &config::Calibrate,
 ) -> Result<BoardView, Problem> {
     let not_found = || Problem::GridNotFound { inner: settings.inner_corners };
-    let whole = whole.map(|pixels| (settings.inner_corners[0] as usize, pixels));
+    let whole = whole.map(|pixels| CornerRows { columns: settings.inner_corners[0] as usize, pixels });
     let grids = whole.into_iter().chain(vision::chessboard_parts(image)?);
-    let part = grids.map(|(columns, pixels)| connected(image, columns, &pixels));
+    let part = grids.map(|found| connected(image, &found));
     let part = part.max_by_key(Vec::len).filter(|p| p.len() >= SEED).ok_or_else(not_found)?;
     let placed: Vec<Placed> = placements(&part, settings)
         .filter_map(|view| Some(Placed { fit: fit(image, &homography(&view)?, settings)?, view }))
@@ -97,10 +97,11 @@ fn chosen<'a>(placed: &'a [Placed], settings: &config::Calibrate) -> Option<&'a 
 }
 
 /// The most corners that hang together, grown from one by the sides of the squares beside it, numbered as seen from the front. What
-/// was found, row by row, reaches to the board's border and under what covers it, and serves for starts alone.
-fn connected(image: &Image<u8>, columns: usize, found: &[Point2<f64>]) -> Vec<Corner> {
-    let rows = found.len() / columns;
-    let at = |i: usize, j: usize| found[j * columns + i];
+/// was found reaches to the board's border and under what covers it, and serves for starts alone.
+fn connected(image: &Image<u8>, found: &CornerRows) -> Vec<Corner> {
+    let columns = found.columns;
+    let rows = found.pixels.len() / columns;
+    let at = |i: usize, j: usize| found.pixels[j * columns + i];
     let mut most: Vec<Corner> = Vec::new();
     for k in 0..rows * columns {
         let (i, j) = (k % columns, k / columns);
