@@ -128,7 +128,10 @@ impl<'a> Surroundings<'a> {
             let fineness = Fineness { most: tolerance * about, coarse: false };
             self.gatherer.cut(field, &free, point, fineness, sent);
             let (mut part, all) = (Vec::new(), sets::magnitude(sent));
-            sets::by_light(field, sent, |leaf, e| part.push((leaf, [e, e / all].map(|e| e * weight))));
+            // Where no light arrives there is none to share.
+            if all > 0.0 {
+                sets::by_light(field, sent, |leaf, e| part.push((leaf, [e, e / all].map(|e| e * weight))));
+            }
             part
         };
         let mut received = [0, 1].map(|_| vec![0.0; field.lights.len()]);
