@@ -25,8 +25,8 @@ const LEAST: usize = 16;
 const INDEPENDENT: f32 = 12.0;
 /// Standard deviation of ln B beside textures.
 const NOISE: f32 = 0.02;
-/// Borders are where ln E varies by more.
-const BORDER: f32 = 0.1;
+/// Borders are where ln E changes by more from one pixel to the next: where it changes less, a pixel's displacement is nothing.
+const BORDER: f32 = 0.05;
 /// Share of the variance of ln B in a window that a border must explain.
 const EXPLAINED: f32 = 0.5;
 /// No face.
@@ -57,8 +57,8 @@ struct Map {
     light: Vec<f32>,
     /// ln B; NaN where it does not count, as beside another face: the plate may show that.
     plate: Vec<f32>,
-    /// Least and largest ln E of squares of pixels.
-    squares: Vec<[f32; 2]>,
+    /// Whether there is a border in squares of pixels.
+    squares: Vec<bool>,
     side: i32,
 }
 
@@ -98,7 +98,7 @@ impl<'a> Registration<'a> {
 
 impl Map {
     fn new(size: IVec2, face: Vec<u32>, light: Vec<f32>, plate: Vec<f32>, reach: i32) -> Self {
-        let side = RADIUS + reach;
+        let side = reach;
         let mut map = Self { size, face, light, plate, squares: Vec::new(), side };
         let inner = |i: usize| {
             let at = map.at(i);
@@ -109,11 +109,15 @@ impl Map {
         let plate = (0..map.face.len()).into_par_iter();
         map.plate = plate.map(|i| if counts(i) { map.plate[i] } else { f32::NAN }).collect();
         let across = map.across();
-        map.squares = vec![[f32::INFINITY, f32::NEG_INFINITY]; (across.x * across.y) as usize];
-        for i in (0..map.light.len()).filter(|&i| map.light[i].is_finite()) {
-            let square = map.at(i) / side;
-            let range = &mut map.squares[(square.y * across.x + square.x) as usize];
-            *range = [range[0].min(map.light[i]), range[1].max(map.light[i])];
+        map.squares = vec![false; (across.x * across.y) as usize];
+        for i in 0..map.light.len() {
+            let at = map.at(i);
+            let next = [IVec2::X, IVec2::Y].map(|step| map.index(at + step));
+            let step = |j: usize| map.face[j] == map.face[i] && (map.light[j] - map.light[i]).abs() > BORDER;
+            if next.into_iter().flatten().any(step) {
+                let square = at / side;
+                map.squares[(square.y * across.x + square.x) as usize] = true;
+            }
         }
         map
     }
@@ -132,26 +136,20 @@ impl Map {
         (self.size + self.side - 1) / self.side
     }
 
-    /// Whether ln E varies where a window may be moved.
+    /// Whether there may be a border where the light of a pixel may come from.
     fn has_border(&self, at: IVec2) -> bool {
         let (square, across) = (at / self.side, self.across());
         let (low, high) = ((square - 1).max(IVec2::ZERO), (square + 2).min(across));
-        let mut range = [f32::INFINITY, f32::NEG_INFINITY];
-        for y in low.y..high.y {
-            for [least, most] in
-                &self.squares[(y * across.x + low.x) as usize..(y * across.x + high.x) as usize]
-            {
-                range = [range[0].min(*least), range[1].max(*most)];
-            }
-        }
-        range[1] - range[0] > BORDER
+        (low.y..high.y).any(|y| (low.x..high.x).any(|x| self.squares[(y * across.x + x) as usize]))
     }
 
     /// As far towards `at + by` as the face of `at` goes.
     fn on_face(&self, at: IVec2, by: IVec2) -> IVec2 {
         let face = self.index(at).map_or(NONE, |i| self.face[i]);
         let steps = by.abs().max_element();
-        let step = |k: i32| at + (by.as_vec2() * (k as f32 / steps as f32)).round().as_ivec2();
+        let step = |k: i32| {
+            at + if k == steps { by } else { (by.as_vec2() * (k as f32 / steps as f32)).round().as_ivec2() }
+        };
         let same =
             |p: &IVec2| self.index(*p).is_some_and(|i| self.face[i] == face && self.light[i].is_finite());
         (1..=steps).rev().map(step).find(same).unwrap_or(at)
