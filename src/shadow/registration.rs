@@ -288,7 +288,7 @@ mod tests {
     #[test]
     fn light_stays_on_its_face() {
         let mut map = map(Vec2::ZERO, light, |_, _, light| light);
-        (0..map.face.len()).filter(|&i| map.at(i).x >= 20).for_each(|i| map.face[i] = 1);
+        map.face = (0..map.face.len()).map(|i| u32::from(map.at(i).x >= 20)).collect();
         assert_eq!(map.on_face(IVec2::new(18, 9), IVec2::new(4, 0)), IVec2::new(19, 9));
         assert_eq!(map.on_face(IVec2::new(22, 9), IVec2::new(-4, 2)), IVec2::new(20, 10));
         assert_eq!(map.on_face(IVec2::new(1, 1), IVec2::new(-4, 0)), IVec2::new(0, 1));
