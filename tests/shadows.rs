@@ -244,10 +244,11 @@ fn the_scenes_own_shadow_is_where_the_plate_shows_it() {
     // Its shadow crosses the border of the board's.
     let object = cuboid(at(-0.16, 0.1, 0.0), at(0.05, 0.1, 0.06));
     let slow = Render { method: ShadowMethod::Raytraced, rays: 512, register_px: 0, ..Default::default() };
-    let scene = |stage| Scene { plate: &plate, ..Stage::scene(stage) };
-    let reference = removed_radiance(&scene(&truth), &object, &slow).unwrap().epsilon;
+    let reference =
+        removed_radiance(&Scene { plate: &plate, ..truth.scene() }, &object, &slow).unwrap().epsilon;
     let error = |stage: &Stage, settings: &Render| {
-        let found = removed_radiance(&scene(stage), &object, settings).unwrap();
+        let scene = Scene { plate: &plate, ..stage.scene() };
+        let found = removed_radiance(&scene, &object, settings).unwrap();
         errors(&plate, &found.epsilon, &reference).0
     };
     let fast = |register_px| Render { register_px, ..Default::default() };
