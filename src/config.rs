@@ -413,7 +413,7 @@ pub enum SourceOrder {
 settings! {
     /// Radiance transfers (gibson §5).
     Transfer {
-        /// Share of all power that the source set holds; 0.7 is the paper's.
+        /// Share of the light that the source set holds, on average over the places that the plate shows; 0.7 is the paper's.
         source_share: f64 = 0.7,
         /// Visibility rays for each pair of source and receiver vertex.
         rays: usize = 8,

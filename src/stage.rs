@@ -86,7 +86,7 @@ pub const STAGES: &[Stage] = &[
     },
     Stage {
         name: "illuminate",
-        version: 3,
+        version: 4,
         reads: &["merge", "calibrate", "probe", "model"],
         settings: &[],
         about: "carry the probe's radiance onto a patch mesh",
@@ -100,14 +100,14 @@ pub const STAGES: &[Stage] = &[
     },
     Stage {
         name: "transfer",
-        version: 3,
+        version: 4,
         reads: &["calibrate", "model", "illuminate"],
         settings: &[],
         about: "radiance transfers from sources to receivers",
     },
     Stage {
         name: "render",
-        version: 4,
+        version: 5,
         reads: &["ingest", "response", "merge", "calibrate", "model", "illuminate", "irradiance", "transfer"],
         settings: &[],
         about: "shade the object, evaluate the shadow method",

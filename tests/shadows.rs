@@ -212,6 +212,63 @@ fn floor_under(distant: Vec<DistantSource>) -> Stage {
     Stage::new(light, &camera, &Transfer { source_share: 1.0, ..Default::default() })
 }
 
+/// A floor in the sun under a board, which has been modelled `off` beside where it is, m.
+fn under_a_board(off: f32) -> Stage {
+    let sun = DistantSource {
+        direction: at(0.35, 0.9, 0.25).normalize(),
+        solid_angle_sr: 7e-4,
+        radiance: [4000.0; 3],
+    };
+    let sky = DistantSource { direction: Vec3::Y, solid_angle_sr: 2.0, radiance: [0.3; 3] };
+    let mut light = LightModel { distant: vec![sun, sky], ..Default::default() };
+    room::face(&mut light.mesh, at(-1.5, 0.0, -1.5), Vec3::Z * 3.0, Vec3::X * 3.0, 0.2, |_| [0.0; 3]);
+    let (corner, x, z) = (at(off - 0.6, 0.4, -0.8), Vec3::X * 0.5, Vec3::Z * 1.6);
+    room::face(&mut light.mesh, corner, z, x, 0.2, |_| [0.0; 3]);
+    room::face(&mut light.mesh, corner, x, z, 0.2, |_| [0.0; 3]);
+    let camera = camera([0.8, 0.9, 1.3], [-0.1, 0.0, 0.0], 160, 120, 170.0);
+    Stage::new(light, &camera, &Transfer { source_share: 1.0, ..Default::default() })
+}
+
+#[test]
+fn the_scenes_own_shadow_is_where_the_plate_shows_it() {
+    let truth = under_a_board(0.0);
+    let floor = |x: usize, y: usize| {
+        let tile = if x % 17 == 3 || y % 13 == 5 { 0.2 } else { 0.3 };
+        tile * (1.0 + 0.08 * ((x * 7 + y * 13) as f32).sin())
+    };
+    let plate = insitu::image::Image::from_fn(160, 120, |x, y| {
+        let receiver = truth.receivers.pixels.at(x, y).as_ref();
+        let irradiance = receiver.and_then(|r| truth.transfers.irradiance_on(r)).unwrap_or([0.0; 3]);
+        insitu::image::Radiance(irradiance.map(|e| floor(x, y) * e / std::f32::consts::PI))
+    });
+    // It hangs so that the border of the board's shadow lies in the middle of its own.
+    let object = cuboid(at(-0.2, 0.2, 0.0), at(0.06, 0.05, 0.06));
+    let slow = Render { method: ShadowMethod::Raytraced, rays: 512, register_px: 0, ..Default::default() };
+    let reference =
+        removed_radiance(&Scene { plate: &plate, ..truth.scene() }, &object, &slow).unwrap().epsilon;
+    let error = |stage: &Stage, settings: &Render| {
+        let scene = Scene { plate: &plate, ..stage.scene() };
+        let found = removed_radiance(&scene, &object, settings).unwrap();
+        errors(&plate, &found.epsilon, &reference).0
+    };
+    let fast = |register_px| Render { register_px, ..Default::default() };
+    let best = error(&truth, &fast(0));
+    // Nothing is lost where the model is right.
+    let kept = error(&truth, &fast(4));
+    println!("true model: {best:.3}, registered {kept:.3}");
+    assert!(kept < best + 0.02, "{kept}, {best} as modelled");
+    // What the plate shows in the sun and the model in the shadow would keep all its light.
+    for off in [0.02, 0.03] {
+        let moved = under_a_board(off);
+        for method in [ShadowMethod::RadianceTransfer, ShadowMethod::Raytraced] {
+            let settings = |px| Render { method, rays: 512, ..fast(px) };
+            let (before, after) = (error(&moved, &settings(0)), error(&moved, &settings(4)));
+            println!("{off} m, {method:?}: {before:.3} as modelled, {after:.3} registered");
+            assert!(after < 0.5 * before, "{off} m, {method:?}: {after}, {before} as modelled");
+        }
+    }
+}
+
 #[test]
 fn a_thousand_faint_lights_sum_in_f32_as_in_f64() {
     let distant: Vec<_> = (0..1000)

@@ -96,10 +96,11 @@ fn the_rest_is_reported() {
     assert_eq!(part.left_out + part.sources.len(), whole.sources.len());
     let kept: f64 = part.sources.iter().map(|s| s.power_share).sum();
     assert!((kept + part.left_out_share - 1.0).abs() < 1e-9);
-    let weakest = part.sources.iter().map(|s| s.power_share).fold(1.0, f64::min);
+    // Each place counts alike: about the strongest.
+    let strongest = whole.sources.iter().map(|s| s.power_share).fold(0.0, f64::max);
     let kinds: Vec<_> = part.sources.iter().map(|s| s.kind).collect();
     let left_out = whole.sources.iter().filter(|s| !kinds.contains(&s.kind));
-    assert!(left_out.into_iter().all(|s| s.power_share <= weakest), "the strongest are kept");
+    assert!(left_out.into_iter().all(|s| s.power_share < 0.5 * strongest), "the strongest are kept");
     assert!(part.largest_left_out_share >= part.left_out_share && part.largest_left_out_share < 1.0);
     let vertices = part.receivers.positions.len().min(whole.receivers.positions.len());
     for v in 0..vertices {
@@ -122,6 +123,20 @@ fn distant_light_is_shadowed_by_the_scene() {
         let expected = if position.x < -0.2 { 0.0 } else { 0.1 };
         assert!((row(&roofed, v)[0] - expected).abs() < 1e-4);
     }
+}
+
+#[test]
+fn light_that_counts_under_a_roof_alone_is_a_source() {
+    let mut light = floor(0.5);
+    let direction = Vec3::new(0.0, 1.0, 0.0);
+    light.distant.push(DistantSource { direction, solid_angle_sr: 1e-3, radiance: [100.0; 3] });
+    face(&mut light.mesh, Vec3::new(-2.0, 2.0, -2.0), Vec3::X * 2.0, Vec3::Z * 4.0, 4.0, |_| [0.0; 3]);
+    // A wall at the far end of what the roof hides from the sun: less than a hundredth of all light.
+    face(&mut light.mesh, Vec3::new(-2.0, 0.0, -2.0), Vec3::Y, Vec3::Z * 4.0, 4.0, |_| [5e-4; 3]);
+    let transfers = solved(&light, &Transfer { source_share: 0.98, ..all() }).unwrap();
+    let wall: f64 = transfers.sources.iter().map(|s| s.power_share).filter(|s| *s < 0.5).sum();
+    assert!(wall > 0.0 && wall < 0.01, "the wall is a source with {wall} of all light");
+    assert!(transfers.largest_left_out_share < 0.1, "{}", transfers.largest_left_out_share);
 }
 
 #[test]

@@ -42,11 +42,12 @@ impl Static {
         let light = illuminate::read_light(&workspace.folder("illuminate"))?;
         let faces = face::triangulate(&scene.faces);
         let settings = &workspace.pipeline.render;
+        let plate = exr::read_radiance(&file("merge", "plate.exr"))?;
         Ok(Self {
-            plate: exr::read_radiance(&file("merge", "plate.exr"))?,
             volume: Volume::read(&file("irradiance", "irradiance.ply"))?,
             transfers: Transfers::read(&workspace.folder("transfer"))?,
-            receivers: Receivers::cast(cameras.plate_camera(), &light.mesh),
+            receivers: Receivers::cast(cameras.plate_camera(), &light.mesh).as_shown(&plate, &light.mesh),
+            plate,
             scene_bvh: Bvh::new(&faces.vertices, &faces.triangles),
             light_bvh: Bvh::new(&light.mesh.vertices, &light.mesh.triangles()),
             object: render::load_object(&workspace.base.join(&settings.object), settings)?,

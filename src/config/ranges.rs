@@ -98,6 +98,7 @@ const RANGES: &[(&str, &str, Range)] = &[
     ("render", "shadow_map_px", From(16.0, 8192.0)),
     ("render", "passes", From(0.0, 1e6)),
     ("render", "origins", From(1.0, 1024.0)),
+    ("render", "register_px", From(0.0, 16.0)),
     ("render", "frame_ms", From(0.0, 1e6)),
     ("render", "max_error", From(0.0, 1.0)),
     ("render", "caster_triangles", From(0.0, 1e9)),

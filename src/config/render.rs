@@ -160,6 +160,9 @@ settings! {
         passes: usize = 50,
         /// Hard shadows (small shadow maps) of which each cluster's soft one is made, on average; 1 for the paper's one.
         origins: usize = 8,
+        /// How far the scene's own shadows may lie beside the model's, px: those of the methods `radiance-transfer`,
+        /// `radiance-transfer-ldr` and `raytraced` are moved to where the plate shows them; 0 leaves them.
+        register_px: usize = 4,
         /// Time for a frame, ms: no more passes than earlier frames say can be done in it; 0 for any. `subtractive` spends half
         /// of it on the plate's lights and samples, half on the object.
         frame_ms: f64 = 0.0,

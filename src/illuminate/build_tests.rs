@@ -184,6 +184,33 @@ fn a_small_lamp_gets_the_light_that_the_probe_blurs_beside_it() {
 }
 
 #[test]
+fn a_leg_before_the_border_of_a_bright_wall_is_no_lamp() {
+    let (at, leg) = (Vec3::new(0.3, 0.6, -0.4), Vec3::new(1.2, 0.6, 1.6));
+    let mut faces = room::faces(4.0, 2.5, 4.0);
+    for mut f in room::faces(0.05, 1.0, 0.05) {
+        f.vertices.reverse();
+        f.vertices.iter_mut().for_each(|v| (v.x, v.z) = (v.x + f64::from(leg.x), v.z + f64::from(leg.z)));
+        f.name = f.name.replace("room", "leg");
+        faces.push(f);
+    }
+    let view = (leg - at).normalize();
+    let side = view.cross(Vec3::Y).normalize();
+    // Two fifths of what is beside the leg are sunlit; it hides the border.
+    let env = Environment::from_fn(512, at, |d| {
+        let (beside, ahead) = (d.dot(side), d.dot(view));
+        [if beside.abs() < 0.011 && ahead > 0.0 {
+            0.3
+        } else if beside > 0.011 && beside < 0.3 && ahead > 0.8 {
+            1.3
+        } else {
+            0.1
+        }; 3]
+    });
+    let built = build(&faces, &env, None, &Known::default(), &Default::default(), |_| 0.012).unwrap();
+    assert_eq!(built.figure("small_lamps"), Some(0.0));
+}
+
+#[test]
 fn an_open_sky_becomes_distant_light_of_the_same_power() {
     let ground = vec![room::faces(10.0, 1.0, 10.0)[0].clone()];
     let env = Environment::from_fn(128, Vec3::new(0.0, 0.1, 0.0), |d| [if d.y > 0.0 { 2.0 } else { 0.3 }; 3]);

@@ -20,6 +20,8 @@ pub(super) const REACH: f64 = 3.0;
 const SMALL: f64 = 6.0;
 /// Rays along each side of a texel.
 const SUB: usize = 4;
+/// What is brighter than this share of a lamp's surroundings may lie beside it.
+const BRIGHTEST: f64 = 0.9;
 /// This share of a lamp's surroundings must be shown.
 const SHOWN: f64 = 0.8;
 
@@ -57,8 +59,8 @@ pub(super) fn strongest(
         .filter(|(primitive, _)| known.keys().all(|face| primitives[*face as usize] != *primitive))
         .filter_map(|(primitive, image)| {
             let seen = seen(env, &image, &probe_blur)?;
-            let bright = bright(&seen.radiance);
-            (bright > f64::from(SHINES) * mean).then_some((primitive, seen, image.solid_angle * bright))
+            let power = image.solid_angle * bright(&seen.radiance);
+            (bright(&seen.least) > f64::from(SHINES) * mean).then_some((primitive, seen, power))
         })
         .collect();
     if bright_ones.is_empty() {
@@ -71,7 +73,7 @@ pub(super) fn strongest(
             (0..mesh.patches.len()).filter(|i| primitives[mesh.patches[*i].face as usize] == *primitive);
         let (sent, received) = patches.fold((0.0, 0.0), |(sent, received), i| {
             let area = f64::from(mesh.area(i));
-            (sent + PI * area * bright(&seen.radiance), received + area * f64::from(luminance(irradiance[i])))
+            (sent + PI * area * bright(&seen.least), received + area * f64::from(luminance(irradiance[i])))
         });
         sent > f64::from(SHINES) * received
     };
@@ -119,6 +121,9 @@ fn images(mesh: &PatchMesh, bvh: &Bvh, env: &Environment, primitives: &[usize]) 
 struct Seen {
     /// Mean over the solid angle in which the model shows it.
     radiance: [f64; 3],
+    /// The same if all that lies beside it were as bright as what is brightest around it: a leg before the border of a
+    /// sunlit floor is not to shine.
+    least: [f64; 3],
     /// Directions of its middle by the model, and of its light by the environment.
     middle: Vec3,
     centroid: Vec3,
@@ -162,19 +167,23 @@ fn seen(env: &Environment, image: &Image, probe_blur: impl Fn(Vec3) -> f64) -> O
         return None;
     }
     // What shines from around stands for what the lamp hides, too.
-    let back = |k: usize| {
-        let mut values: Vec<f32> = around.iter().map(|l| l[k]).collect();
-        let at = values.len() / 2;
-        f64::from(*values.select_nth_unstable_by(at, f32::total_cmp).1)
+    let back = |share: f64| {
+        [0, 1, 2].map(|k| {
+            let mut values: Vec<f32> = around.iter().map(|l| l[k]).collect();
+            let at = (values.len() as f64 * share) as usize;
+            f64::from(*values.select_nth_unstable_by(at, f32::total_cmp).1)
+        })
     };
-    let back = [0, 1, 2].map(back);
     let beside = (shown - image.solid_angle).max(0.0);
-    let radiance = std::array::from_fn(|k| (power[k] - back[k] * beside).max(0.0) / image.solid_angle);
+    let own =
+        |back: [f64; 3]| std::array::from_fn(|k| (power[k] - back[k] * beside).max(0.0) / image.solid_angle);
+    let (least, back) = (own(back(BRIGHTEST)), back(0.5));
+    let radiance = own(back);
     let dark = f64::from(luminance(back.map(|l| l as f32)));
     let moment = |i: &usize| {
         let above = f64::from(env.radiance.pixels()[*i].luminance()) - dark;
         env.direction(*i) * (above.max(0.0) * env.solid_angle(*i)) as f32
     };
     let centroid = within.iter().map(moment).sum::<Vec3>().try_normalize()?;
-    Some(Seen { radiance, middle, centroid })
+    Some(Seen { radiance, least, middle, centroid })
 }

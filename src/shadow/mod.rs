@@ -1,7 +1,8 @@
 //! How much light a synthetic object takes from the plate: ε(x) = Σ_j L_xj M_xj (Gibson et al. 2003, eq. 2).
 //!
 //! All methods answer with an image of ε. L_xj is what pixel x shows of source j: the plate's radiance times the
-//! share that j has of the irradiance at x, so the plate's own reflectance is kept and ε never exceeds the plate.
+//! share that j has of the irradiance at x, so the plate's own reflectance is kept and ε never exceeds the plate. What share
+//! that is depends on whether x lies in the scene's own shadow, which the plate knows better than the model (`registration`).
 
 mod caster;
 mod distant;
@@ -16,8 +17,10 @@ mod radiance_transfer;
 mod raster;
 mod raytraced;
 mod receivers;
+mod registration;
 mod representatives;
 mod session;
+mod silhouettes;
 mod tiles;
 
 use crate::config::Render;

@@ -74,7 +74,7 @@ struct Rays {
 impl<'a> RadianceTransfer<'a> {
     /// Everything that does not depend on the object.
     pub fn prepare(scene: &Scene<'a>, settings: &Render) -> Result<Self, Problem> {
-        let prepared = Prepared::new(scene, settings)?;
+        let prepared = Prepared::registered(scene, settings)?;
         Ok(Self {
             ldr: Ldr::prepare(scene, &prepared, settings)?,
             prepared,

@@ -78,7 +78,7 @@ pub fn raytraced(scene: &Scene, occluder: &Occluder, settings: &Render) -> Resul
         let value = settings.rays.to_string();
         return Err(Problem::Setting { name: "rays", value, range: "2 or more" });
     }
-    let prepared = Prepared::new(scene, settings)?;
+    let prepared = Prepared::registered(scene, settings)?;
     let tracer = Tracer::new(scene, occluder, settings);
     let found: Vec<[Radiance; 2]> = prepared
         .tiles
@@ -190,7 +190,8 @@ impl<'a> Tracer<'a> {
         }
         let (mut all, mut blocked) = ([[0.0f64; 3]; 2], [[0.0f64; 3]; 2]);
         for (i, sample) in samples.iter().enumerate() {
-            if sample.irradiance == [0.0; 3] || hidden(&self.scene, sample) {
+            let lit = Sample { from: sample.from + pixel.lit_from, ..*sample };
+            if sample.irradiance == [0.0; 3] || hidden(&self.scene, &lit) {
                 continue;
             }
             for c in 0..3 {

@@ -4,7 +4,7 @@ use crate::camera::Camera;
 use crate::illuminate::patch::PatchMesh;
 use crate::image::Image;
 use crate::visibility::Bvh;
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 use nalgebra::Point2;
 use rayon::prelude::*;
 
@@ -21,6 +21,13 @@ pub struct Receiver {
     pub normal: Vec3,
     /// One pixel to the right and one down on the patch's plane, m.
     pub footprint: [Vec3; 2],
+}
+
+impl Receiver {
+    /// A point of its plane, px from the pixel's centre; m.
+    pub fn at(&self, offset: Vec2) -> Vec3 {
+        self.position + self.footprint[0] * offset.x + self.footprint[1] * offset.y
+    }
 }
 
 /// The receivers of a plate, one a pixel; `None` where the pixel sees no patch.
@@ -87,6 +94,15 @@ fn step(receiver: &Receiver, eye: Vec3, direction: Vec3, neighbour: Vec3) -> Vec
         .clamp_length_max(LONGEST * head_on)
 }
 
+/// Weights of a triangle's corners at a point of its plane; beside the triangle those of a point on its border.
+pub(super) fn barycentric([a, b, c]: [Vec3; 3], p: Vec3) -> [f32; 3] {
+    let n = (b - a).cross(c - a);
+    let of = |q: Vec3, r: Vec3| (((r - q).cross(p - q)).dot(n) / n.length_squared()).max(0.0);
+    let weights = [of(b, c), of(c, a), of(a, b)];
+    let sum: f32 = weights.iter().sum();
+    weights.map(|w| w / sum)
+}
+
 fn first_front(mesh: &PatchMesh, bvh: &Bvh, origin: Vec3, direction: Vec3) -> Option<Receiver> {
     let mut from = 1e-4;
     for _ in 0..BACK_SIDES {
@@ -106,4 +122,17 @@ fn first_front(mesh: &PatchMesh, bvh: &Bvh, origin: Vec3, direction: Vec3) -> Op
         from = hit.t * (1.0 + 1e-5) + 1e-5;
     }
     None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn weights_of_a_point_beside_a_triangle_are_those_of_its_border() {
+        let corners = [Vec3::ZERO, Vec3::X, Vec3::Y];
+        assert_eq!(barycentric(corners, Vec3::new(0.25, 0.5, 0.0)), [0.25, 0.25, 0.5]);
+        let [a, b, c] = barycentric(corners, Vec3::new(0.5, -0.1, 0.0));
+        assert!(c == 0.0 && a > 0.4 && b > 0.4 && (a + b - 1.0).abs() < 1e-6);
+    }
 }

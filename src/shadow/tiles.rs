@@ -1,7 +1,8 @@
 //! The static side of a frame: receiver pixels in square tiles, and in vectors of eight that share a receiver triangle.
 
 use super::projection::OFFSETS;
-use super::{Problem, Receivers, Scene};
+use super::registration::{Place, Registration};
+use super::{Problem, Scene};
 use crate::config::Render;
 use crate::image::{Radiance, RadianceImage};
 use glam::{Vec2, Vec3};
@@ -28,6 +29,11 @@ pub(crate) struct Pixel {
     /// Their weights.
     pub weights: [f32; 3],
     pub patch: u32,
+    /// Patch on which these lie, and where from here: light is taken from beside the pixel where the plate shows the scene's
+    /// shadows beside the model's (see [`super::registration`]).
+    pub lit_patch: u32,
+    /// m.
+    pub lit_from: Vec3,
     /// Index into the plate.
     pub index: u32,
     /// Irradiance from all light, plate units.
@@ -111,7 +117,20 @@ impl Vector {
 }
 
 impl Prepared {
+    /// The scene's shadows where the model has them.
     pub fn new(scene: &Scene, settings: &Render) -> Result<Self, Problem> {
+        Self::with(scene, settings, None)
+    }
+
+    /// The scene's shadows where the plate shows them, as far as the settings allow.
+    pub fn registered(scene: &Scene, settings: &Render) -> Result<Self, Problem> {
+        scene.check()?;
+        let reach = settings.register_px;
+        let registration = if reach > 0 { Some(Registration::new(scene, reach)?) } else { None };
+        Self::with(scene, settings, registration.as_ref())
+    }
+
+    fn with(scene: &Scene, settings: &Render, registration: Option<&Registration>) -> Result<Self, Problem> {
         scene.check()?;
         if !(16..=8192).contains(&settings.shadow_map_px) {
             let value = settings.shadow_map_px.to_string();
@@ -119,8 +138,10 @@ impl Prepared {
         }
         let (width, height) = scene.plate.size();
         let corners: Vec<(usize, usize)> = squares([0, 0], [width, height], BLOCK_PX).collect();
-        let parts: Vec<_> =
-            corners.into_par_iter().map(|corner| Part::new(scene, corner)).collect::<Result<_, _>>()?;
+        let parts: Vec<_> = corners
+            .into_par_iter()
+            .map(|corner| Part::new(scene, registration, corner))
+            .collect::<Result<_, _>>()?;
         let mut all = Self { pixels: Vec::new(), vectors: Vec::new(), tiles: Vec::new(), blocks: Vec::new() };
         for part in parts {
             all.append(part);
@@ -173,7 +194,11 @@ struct Part {
 }
 
 impl Part {
-    fn new(scene: &Scene, (x, y): (usize, usize)) -> Result<Self, Problem> {
+    fn new(
+        scene: &Scene,
+        registration: Option<&Registration>,
+        (x, y): (usize, usize),
+    ) -> Result<Self, Problem> {
         let (width, height) = scene.plate.size();
         let mut part = Self::default();
         for (x, y) in squares([x, y], [width.min(x + BLOCK_PX), height.min(y + BLOCK_PX)], TILE_PX) {
@@ -181,7 +206,7 @@ impl Part {
             for (y, x) in
                 (y..height.min(y + TILE_PX)).flat_map(|y| (x..width.min(x + TILE_PX)).map(move |x| (y, x)))
             {
-                part.pixels.extend(pixel(scene, scene.receivers, x, y)?);
+                part.pixels.extend(pixel(scene, registration, x, y)?);
             }
             // Stable: within a triangle pixels stay in the order of their rows.
             part.pixels[first..].sort_by_key(|p| (p.patch, p.vertices));
@@ -199,7 +224,7 @@ impl Part {
             ids
         };
         let vertices = sorted(members.iter().flat_map(|p| p.vertices).collect());
-        let patches = sorted(members.iter().map(|p| p.patch).collect());
+        let patches = sorted(members.iter().flat_map(|p| [p.patch, p.lit_patch]).collect());
         let (start, mut at) = (self.vectors.len(), first);
         for group in members.chunk_by(|a, b| a.vertices == b.vertices) {
             for lanes in group.chunks(LANES) {
@@ -233,14 +258,20 @@ fn sphere(members: impl Iterator<Item = (Vec3, f32)> + Clone) -> Option<(Vec3, f
     Some((centre, members.map(|(p, r)| p.distance(centre) + r).fold(0.0, f32::max)))
 }
 
-fn pixel(scene: &Scene, receivers: &Receivers, x: usize, y: usize) -> Result<Option<Pixel>, Problem> {
-    let Some(receiver) = receivers.pixels.at(x, y) else { return Ok(None) };
-    let located = scene.transfers.receivers.locate(receiver.patch, receiver.barycentric);
-    let (vertices, weights) = located.ok_or_else(|| Problem::Mismatch {
-        what: "patch seen by the plate",
-        found: format!("patch {} has no transfers", receiver.patch),
-        expected: format!("one of {} receiver patches", scene.transfers.receivers.patches.len()),
-    })?;
+fn pixel(
+    scene: &Scene,
+    registration: Option<&Registration>,
+    x: usize,
+    y: usize,
+) -> Result<Option<Pixel>, Problem> {
+    let Some(receiver) = scene.receivers.pixels.at(x, y) else { return Ok(None) };
+    let place = registration.and_then(|registration| registration.place(x, y));
+    let place = place.unwrap_or(Place {
+        patch: receiver.patch,
+        barycentric: receiver.barycentric,
+        shift: Vec3::ZERO,
+    });
+    let (vertices, weights) = located(scene, place.patch, place.barycentric)?;
     Ok(Some(Pixel {
         position: receiver.position,
         normal: receiver.normal,
@@ -248,7 +279,22 @@ fn pixel(scene: &Scene, receivers: &Receivers, x: usize, y: usize) -> Result<Opt
         vertices,
         weights,
         patch: receiver.patch,
+        lit_patch: place.patch,
+        lit_from: place.shift,
         index: (y * scene.plate.width() + x) as u32,
         irradiance: scene.transfers.irradiance_at(vertices, weights),
     }))
+}
+
+/// Receiver vertices around a point of a patch, and their weights.
+pub(super) fn located(
+    scene: &Scene,
+    patch: u32,
+    barycentric: [f32; 3],
+) -> Result<([u32; 3], [f32; 3]), Problem> {
+    scene.transfers.receivers.locate(patch, barycentric).ok_or_else(|| Problem::Mismatch {
+        what: "patch seen by the plate",
+        found: format!("patch {patch} has no transfers"),
+        expected: format!("one of {} receiver patches", scene.transfers.receivers.patches.len()),
+    })
 }

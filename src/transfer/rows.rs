@@ -119,22 +119,27 @@ impl<'a> Surroundings<'a> {
         Point { position: position + inset + normal * OFFSET_M, normal, lobe }
     }
 
-    /// What each light of a field (in the order of its leaves) sends to some points together: luminance × weight. Rays to
-    /// few points take less time than to find out where none are needed.
-    pub fn received(&self, field: &LightField, points: &[(Point, f64)], tolerance: f64) -> Vec<f64> {
+    /// What each light of a field (in the order of its leaves) sends to some points together: luminance × weight, and share of
+    /// the point's light × weight. Rays to few points take less time than to find out where none are needed.
+    pub fn received(&self, field: &LightField, points: &[(Point, f64)], tolerance: f64) -> [Vec<f64>; 2] {
         let free = vec![false; field.tree.nodes.len()];
         let part = |sent: &mut Vec<Sent>, (point, weight): &(Point, f64)| {
             let about = self.gatherer.about(field, &free, point, sent);
             let fineness = Fineness { most: tolerance * about, coarse: false };
             self.gatherer.cut(field, &free, point, fineness, sent);
-            let mut part = Vec::new();
-            sets::by_light(field, sent, |leaf, e| part.push((leaf, e * weight)));
+            let (mut part, all) = (Vec::new(), sets::magnitude(sent));
+            // Where no light arrives there is none to share.
+            if all > 0.0 {
+                sets::by_light(field, sent, |leaf, e| part.push((leaf, [e, e / all].map(|e| e * weight))));
+            }
             part
         };
-        let mut received = vec![0.0; field.lights.len()];
+        let mut received = [0, 1].map(|_| vec![0.0; field.lights.len()]);
         for points in points.chunks(BATCH) {
-            let parts: Vec<Vec<(usize, f64)>> = points.par_iter().map_init(Vec::new, part).collect();
-            parts.iter().flatten().for_each(|&(leaf, e)| received[leaf] += e);
+            let parts: Vec<Vec<(usize, [f64; 2])>> = points.par_iter().map_init(Vec::new, part).collect();
+            for &(leaf, sent) in parts.iter().flatten() {
+                (0..2).for_each(|k| received[k][leaf] += sent[k]);
+            }
         }
         received
     }

@@ -25,18 +25,19 @@ pub(super) fn strongest(power: &[f64], share: f64) -> Vec<usize> {
     order
 }
 
-/// The source set, strongest first: indices of lights, of which `received` says what reaches the receivers. Where order is by
-/// power, a patch counts with what it sends anywhere and distant light with what it would send to the receivers' area with
+/// The source set, strongest first: indices of lights, of which `received` says what reaches the receivers, and what share of
+/// the light of each of their places it makes up. The share counts: a shadow under a table is one of light that is faint
+/// everywhere else. Where order is by power, a patch counts with what it sends anywhere and distant light with what it would send to the receivers' area with
 /// nothing between, both in plate units · m²; lights that reach no receiver are left out all the same.
 pub(super) fn source_set(
     lights: &[Light],
-    received: &[f64],
+    [received, shares]: [&[f64]; 2],
     order: SourceOrder,
     share: f64,
     receivers: &[(Vec3, f64)],
 ) -> Vec<usize> {
     match order {
-        SourceOrder::Received => strongest(received, share),
+        SourceOrder::Received => strongest(shares, share),
         SourceOrder::Power => {
             let flux = |(light, received): (&Light, &f64)| {
                 if *received <= 0.0 {
@@ -143,8 +144,10 @@ mod tests {
         // Powers on 2 m² that face up: 0.5 π · 4, 0.5 π · 1, 10 · 0.1 · 2.
         let lights = [patch(4.0), patch(1.0), sky];
         let (received, area) = ([0.5, 2.0, 1.0], [(Vec3::Y, 2.0), (-Vec3::Y, 3.0)]);
-        assert_eq!(source_set(&lights, &received, SourceOrder::Received, 1.0, &area), [1, 2, 0]);
-        assert_eq!(source_set(&lights, &received, SourceOrder::Power, 1.0, &area), [0, 2, 1]);
-        assert_eq!(source_set(&lights, &[0.0, 1.0, 1.0], SourceOrder::Power, 1.0, &area), [2, 1]);
+        let set =
+            |received: &[f64], order| source_set(&lights, [received, &[0.2, 0.1, 0.7]], order, 1.0, &area);
+        assert_eq!(set(&received, SourceOrder::Received), [2, 0, 1]);
+        assert_eq!(set(&received, SourceOrder::Power), [0, 2, 1]);
+        assert_eq!(set(&[0.0, 1.0, 1.0], SourceOrder::Power), [2, 1]);
     }
 }

@@ -28,9 +28,9 @@ const PROFILE: usize = 64;
 
 /// Transfers from every light to the vertices of what the plate sees.
 ///
-/// The source set is made of the strongest lights that together have the share `source_share`, by what they send to the
-/// receivers (luminance of irradiance, integrated over their area, estimated at up to 256 receiver vertices) or by
-/// their power (gibson §4), as the settings say. All others count in the total irradiance and are reported. `advance`
+/// The source set is made of the strongest lights that together have the share `source_share`, by their part in the light of
+/// the receivers' places (share of the luminance of irradiance, integrated over the receivers' area, estimated at up to 256
+/// receiver vertices: what lies under a table counts like what a lamp shines on) or by their power (gibson §4), as the settings say. All others count in the total irradiance and are reported. `advance`
 /// is called once for each point that is gathered.
 pub fn solve(
     light: &LightModel,
@@ -64,13 +64,13 @@ pub fn solve_glossy(
     let all = LightField::new(&Light::all(light));
     let lights = &all.lights;
     let sample = sets::sample(&areas, SAMPLES).into_iter().map(|(v, weight)| (points[v].1, weight));
-    let received = surroundings.received(&all, &sample.collect::<Vec<_>>(), SAMPLE_TOLERANCE);
+    let [received, shares] = surroundings.received(&all, &sample.collect::<Vec<_>>(), SAMPLE_TOLERANCE);
     let total: f64 = received.iter().sum();
     if total <= 0.0 {
         return Err(Problem::NoLight { sources: mesh.patches.len() + light.distant.len() });
     }
     let facing: Vec<_> = receiver_mesh.normals.iter().copied().zip(areas).collect();
-    let set = sets::source_set(lights, &received, settings.order, settings.source_share, &facing);
+    let set = sets::source_set(lights, [&received, &shares], settings.order, settings.source_share, &facing);
     let mut in_set = vec![false; lights.len()];
     set.iter().for_each(|&i| in_set[i] = true);
     let part = |member: bool| -> Vec<Light> {

@@ -281,6 +281,14 @@ fn numbers_out_of_range_are_refused() {
             "give a number from 16 to 8192; without it, it is 256",
         ),
         case(
+            "shadows far from where they are",
+            &[Set("[render]\nregister_px = 17\n")],
+            "render",
+            2,
+            "case.toml:3:1: `render.register_px` is 17",
+            "give a number from 0 to 16; without it, it is 4",
+        ),
+        case(
             "diffuse above 1",
             &[Set("[render]\ndiffuse = [1.5, 0.5, 0.5]\n")],
             "render",
