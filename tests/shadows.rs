@@ -139,11 +139,12 @@ fn a_session_keeps_to_what_is_asked() {
         let frames: Vec<_> = (0..frames).map(|_| session.frame(&object).unwrap().removed).collect();
         frames.last().unwrap().clone()
     };
-    let by_number = passes(Render { passes: 12, ..Default::default() }, 1);
-    assert_eq!(by_number.passes, 12);
+    // Up to twenty passes draw the same maps and err alike.
+    let by_number = passes(Render { passes: 60, ..Default::default() }, 1);
+    assert_eq!(by_number.passes, 60);
     let wanted = by_number.expected_error.unwrap();
     let by_error = passes(Render { passes: 0, max_error: wanted, ..Default::default() }, 1);
-    assert!(by_error.passes <= 12 && by_error.expected_error.unwrap() <= wanted, "{}", by_error.passes);
+    assert!(by_error.passes <= 60 && by_error.expected_error.unwrap() <= wanted, "{}", by_error.passes);
     let coarser = passes(Render { passes: 0, max_error: 2.0 * wanted, ..Default::default() }, 1);
     assert!(coarser.passes < by_error.passes);
     // No frame fits into a nanosecond, all do into an hour.
