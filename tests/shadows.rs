@@ -28,12 +28,14 @@ fn radiance_transfer_agrees_with_the_reference() {
         ("thin plate raised", cuboid(at(0.0, 0.25, 0.0), at(0.2, 0.004, 0.15))),
     ];
     for (name, object) in &objects {
-        let slow = Render { method: ShadowMethod::Raytraced, rays: 1024, ..Default::default() };
+        // The plate is a chessboard that does not know the model's light: nothing to lay shadows over.
+        let modelled = Render { register_px: 0, ..Default::default() };
+        let slow = Render { method: ShadowMethod::Raytraced, rays: 1024, ..modelled.clone() };
         let reference = removed_radiance(&scene, object, &slow).unwrap();
         let noise = reference.noise.unwrap();
         assert!(noise < 0.03, "{name}: the reference's own noise is {noise}");
         for (passes, bound) in [(10, 0.17), (20, 0.09), (50, 0.055), (200, 0.035), (0, 0.03)] {
-            let fast = Render { passes, ..Default::default() };
+            let fast = Render { passes, ..modelled.clone() };
             let found = removed_radiance(&scene, object, &fast).unwrap();
             let (error, bias) = errors(&stage.plate, &found.epsilon, &reference.epsilon);
             let expected = found.expected_error.unwrap();
