@@ -29,7 +29,8 @@ fn main() -> std::process::ExitCode {
         let faces = face::triangulate(&scene.faces);
         let scene_bvh = Bvh::new(&faces.vertices, &faces.triangles);
         let light_bvh = Bvh::new(&light.mesh.vertices, &light.mesh.triangles());
-        let receivers = Receivers::cast(camera, &light.mesh).as_shown(&plate, &light.mesh);
+        let receivers = Receivers::cast(camera, &light.mesh);
+        let receivers = receivers.as_shown(&plate, &light.mesh).doing("preparing the shadow method")?;
         let stored = stored(ctx)?;
 
         let shadows = shadow::Scene {

@@ -3,7 +3,7 @@
 use crate::artefact::{exr, json};
 use crate::calibrate::Cameras;
 use crate::config::Render;
-use crate::error::Result;
+use crate::error::{Context as _, Result};
 use crate::illuminate;
 use crate::image::RadianceImage;
 use crate::irradiance::Volume;
@@ -43,10 +43,11 @@ impl Static {
         let faces = face::triangulate(&scene.faces);
         let settings = &workspace.pipeline.render;
         let plate = exr::read_radiance(&file("merge", "plate.exr"))?;
+        let receivers = Receivers::cast(cameras.plate_camera(), &light.mesh);
         Ok(Self {
             volume: Volume::read(&file("irradiance", "irradiance.ply"))?,
             transfers: Transfers::read(&workspace.folder("transfer"))?,
-            receivers: Receivers::cast(cameras.plate_camera(), &light.mesh).as_shown(&plate, &light.mesh),
+            receivers: receivers.as_shown(&plate, &light.mesh).doing("preparing the shadow method")?,
             plate,
             scene_bvh: Bvh::new(&faces.vertices, &faces.triangles),
             light_bvh: Bvh::new(&light.mesh.vertices, &light.mesh.triangles()),

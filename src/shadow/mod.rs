@@ -213,14 +213,7 @@ impl Scene<'_> {
     pub(crate) fn check(&self) -> Result<(), Problem> {
         let mismatch =
             |what, found: String, expected: String| Err(Problem::Mismatch { what, found, expected });
-        if self.receivers.pixels.size() != self.plate.size() {
-            let (found, expected) = (self.receivers.pixels.size(), self.plate.size());
-            return mismatch(
-                "size of the plate's camera",
-                format!("{found:?} px"),
-                format!("{expected:?} px"),
-            );
-        }
+        self.receivers.check(self.plate)?;
         let (patches, distant) = (self.light.mesh.patches.len(), self.light.distant.len());
         for source in &self.transfers.sources {
             let (what, index, count) = match source.kind {

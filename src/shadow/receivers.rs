@@ -1,8 +1,9 @@
 //! What each pixel of the plate looks at.
 
+use super::Problem;
 use crate::camera::Camera;
 use crate::illuminate::patch::PatchMesh;
-use crate::image::Image;
+use crate::image::{Image, RadianceImage};
 use crate::visibility::Bvh;
 use glam::{Vec2, Vec3};
 use nalgebra::Point2;
@@ -43,6 +44,15 @@ pub struct Receivers {
 const BACK_SIDES: usize = 16;
 
 impl Receivers {
+    /// Refuses a plate that is not this camera's.
+    pub(super) fn check(&self, plate: &RadianceImage) -> Result<(), Problem> {
+        if self.pixels.size() == plate.size() {
+            return Ok(());
+        }
+        let [found, expected] = [self.pixels.size(), plate.size()].map(|size| format!("{size:?} px"));
+        Err(Problem::Mismatch { what: "size of the plate's camera", found, expected })
+    }
+
     /// Casts the ray of every pixel's centre onto the front sides of the mesh.
     pub fn cast(camera: &Camera, mesh: &PatchMesh) -> Self {
         let bvh = Bvh::new(&mesh.vertices, &mesh.triangles());

@@ -2,6 +2,7 @@
 //! leg of a table, and that shows the floor beside it, would keep the floor's light in the middle of a shadow. A pixel near the
 //! border of two faces goes to the one whose neighbouring pixels, well within it, have its colour.
 
+use super::Problem;
 use super::receivers::{Receiver, Receivers, barycentric};
 use crate::illuminate::patch::PatchMesh;
 use crate::image::{Image, RadianceImage};
@@ -25,7 +26,8 @@ const SURE: f32 = 1.0;
 
 impl Receivers {
     /// The same with pixels beside silhouettes on the faces that the plate shows there.
-    pub fn as_shown(&self, plate: &RadianceImage, mesh: &PatchMesh) -> Self {
+    pub fn as_shown(&self, plate: &RadianceImage, mesh: &PatchMesh) -> Result<Self, Problem> {
+        self.check(plate)?;
         let (width, height) = self.pixels.size();
         let faces = self.pixels.map(|r| r.map(|r| mesh.patches[r.patch as usize].face));
         let colours = plate.map(|b| b.0.map(f32::ln));
@@ -40,7 +42,7 @@ impl Receivers {
                 Some(Receiver { position, barycentric: barycentric(corners, position), ..receiver })
             })
         });
-        Self { pixels: Image::from_pixels(width, height, pixels.collect()), seen: self.seen.clone() }
+        Ok(Self { pixels: Image::from_pixels(width, height, pixels.collect()), seen: self.seen.clone() })
     }
 }
 
@@ -176,7 +178,7 @@ mod tests {
             let on = face_at(&receivers, x, y) == Some(1) && face_at(&receivers, x - 1, y) == Some(1);
             Radiance([if on { 0.1 } else { 0.5 }; 3])
         });
-        let shown = receivers.as_shown(&plate, &mesh);
+        let shown = receivers.as_shown(&plate, &mesh).unwrap();
         assert_eq!((face_at(&shown, left, 24), face_at(&shown, left + 1, 24)), (Some(0), Some(1)));
         let found = shown.pixels.at(left, 24).unwrap();
         let pixel = camera.project(&nalgebra::Point3::from(found.position.as_dvec3().to_array())).unwrap();
