@@ -115,7 +115,9 @@ pub struct CornerRows {
 pub fn chessboard_parts(image: &Image<u8>) -> Result<Vec<CornerRows>, Problem> {
     let flags = calib3d::CALIB_CB_NORMALIZE_IMAGE | calib3d::CALIB_CB_LARGER;
     let (least, mut parts) = (Size::new(3, 3), Vec::new());
-    for enlargement in [enlargement(image), 1.0] {
+    let mut enlargements = vec![enlargement(image), 1.0];
+    enlargements.dedup();
+    for enlargement in enlargements {
         for picture in pictures(image)? {
             let picture = enlarge(&picture, enlargement)?;
             let (mut corners, mut meta) = (Vector::<Point2f>::new(), Mat::default());

@@ -10,7 +10,7 @@ use super::Problem;
 use crate::config::{self, Disc, Grid};
 use crate::image::Image;
 use crate::vision::{self, BoardView};
-use nalgebra::{DMatrix, Matrix3, Point2, Vector3};
+use nalgebra::{DMatrix, Matrix3, Point2, Vector2, Vector3};
 
 /// Centre of the black disc: this far outside the outer row and column of inner corners, in squares (in the middle of
 /// a margin half a square wide).
@@ -113,11 +113,7 @@ fn mean_around(
     let steps = [-1.0, -0.5, 0.0, 0.5, 1.0];
     let (mut sum, mut count) = (0.0, 0.0);
     for (x, y) in steps.iter().flat_map(|x| steps.map(|y| (*x, y))).filter(|(x, y)| x * x + y * y <= 1.0) {
-        sum += squares::seen(
-            image,
-            pixel_from_board,
-            Point2::new(centre.x + radius * x, centre.y + radius * y),
-        )?;
+        sum += squares::seen(image, pixel_from_board, centre + Vector2::new(x, y) * radius)?;
         count += 1.0;
     }
     Some(sum / count)
@@ -141,7 +137,7 @@ fn bilinear(image: &Image<u8>, x: f64, y: f64) -> Option<f64> {
 pub(super) fn homography(view: &BoardView) -> Option<Matrix3<f64>> {
     let n = view.board.len();
     let unit = view.board.iter().map(|p| p.coords.norm()).fold(0.0, f64::max);
-    let centre = view.pixels.iter().map(|p| p.coords).sum::<nalgebra::Vector2<f64>>() / n as f64;
+    let centre = view.pixels.iter().map(|p| p.coords).sum::<Vector2<f64>>() / n as f64;
     let size = view.pixels.iter().map(|p| (p.coords - centre).norm()).fold(0.0, f64::max);
     let rows = DMatrix::from_fn(2 * n, 9, |row, column| {
         let (b, p) = (view.board[row / 2] / unit, (view.pixels[row / 2] - centre) / size);
@@ -159,4 +155,10 @@ pub(super) fn homography(view: &BoardView) -> Option<Matrix3<f64>> {
     let pixel_from_unit = Matrix3::new(size, 0.0, centre.x, 0.0, size, centre.y, 0.0, 0.0, 1.0);
     let h = pixel_from_unit * h * Matrix3::from_diagonal(&Vector3::new(1.0 / unit, 1.0 / unit, 1.0));
     h.iter().all(|v| v.is_finite()).then_some(h)
+}
+
+/// A place on the board in the picture, px.
+fn pixel(pixel_from_board: &Matrix3<f64>, at: Point2<f64>) -> Point2<f64> {
+    let p = pixel_from_board * Vector3::new(at.x, at.y, 1.0);
+    Point2::new(p.x / p.z, p.y / p.z)
 }

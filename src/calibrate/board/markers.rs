@@ -1,12 +1,12 @@
 //! Grids that carry markers (Garrido-Jurado et al. 2014): corners are known by the markers' numbers, so that part of the grid may
 //! be hidden, and it can neither be turned by 180° nor mistaken for another one.
 
-use super::{corner_positions, homography};
+use super::{corner_positions, homography, pixel};
 use crate::calibrate::Problem;
 use crate::config::{self, ArucoGrid, CharucoGrid, Grid};
 use crate::image::Image;
 use crate::vision::{self, BoardView, Marker};
-use nalgebra::{Point2, Vector3};
+use nalgebra::Point2;
 use std::collections::BTreeMap;
 
 /// Corners of the grid that are needed.
@@ -110,10 +110,7 @@ pub(super) fn charuco(
             pixels: around.iter().flat_map(|(_, marker)| marker.corners).collect(),
         };
         let Some(pixel_from_board) = homography(&local) else { continue };
-        let pixel = |p: Point2<f64>| {
-            let p = pixel_from_board * Vector3::new(p.x, p.y, 1.0);
-            Point2::new(p.x / p.z, p.y / p.z)
-        };
+        let pixel = |at| pixel(&pixel_from_board, at);
         let nearest = local.board.iter().min_by(|a, b| (*a - corner).norm().total_cmp(&(*b - corner).norm()));
         white_px =
             nearest.map_or(white_px, |n| white_px.min((pixel(*n) - pixel(corner)).norm() / 2f64.sqrt()));
@@ -154,7 +151,7 @@ fn charuco_places(grid: &CharucoGrid, settings: &config::Calibrate) -> Places {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::Matrix3;
+    use nalgebra::{Matrix3, Vector3};
 
     const SIZE: (usize, usize) = (640, 480);
 

@@ -1,8 +1,8 @@
 //! A chessboard of which a part is hidden: corners that hang together are laid onto the board where squares and margin fit best,
 //! and joined by every other one that is seen.
 
-use super::squares::{BESIDE, BETWEEN, REACH, fit, is_corner, pixel, sides};
-use super::{corner_positions, homography};
+use super::squares::{BESIDE, BETWEEN, REACH, fit, is_corner, sides};
+use super::{corner_positions, homography, pixel};
 use crate::calibrate::Problem;
 use crate::config;
 use crate::image::Image;

@@ -1,9 +1,9 @@
 //! What a chessboard's squares look like in a photograph.
 
-use super::bilinear;
+use super::{bilinear, pixel};
 use crate::config;
 use crate::image::Image;
-use nalgebra::{Matrix3, Point2, Vector2, Vector3};
+use nalgebra::{Matrix3, Point2, Vector2};
 
 /// A corner is one if the squares at it differ by this share of the difference between white and black.
 const CONTRAST: f64 = 0.4;
@@ -17,12 +17,6 @@ pub(super) const REACH: [[f64; 2]; 4] = [[0.2, 0.2], [0.4, 0.4], [0.75, 0.25], [
 /// Whether a square is black, counted from the middle of the one at the lower left.
 fn is_black(i: i64, j: i64) -> bool {
     (i + j) % 2 == 0
-}
-
-/// A place on the board in the picture, px.
-pub(super) fn pixel(pixel_from_board: &Matrix3<f64>, at: Point2<f64>) -> Point2<f64> {
-    let p = pixel_from_board * Vector3::new(at.x, at.y, 1.0);
-    Point2::new(p.x / p.z, p.y / p.z)
 }
 
 /// Sides of the squares at a place on the board, px.
