@@ -119,6 +119,7 @@ impl Vector {
 impl Prepared {
     /// The scene's shadows where the model has them.
     pub fn new(scene: &Scene, settings: &Render) -> Result<Self, Problem> {
+        scene.check()?;
         Self::with(scene, settings, None)
     }
 
@@ -130,8 +131,8 @@ impl Prepared {
         Self::with(scene, settings, registration.as_ref())
     }
 
+    /// Of a scene that has been checked.
     fn with(scene: &Scene, settings: &Render, registration: Option<&Registration>) -> Result<Self, Problem> {
-        scene.check()?;
         if !(16..=8192).contains(&settings.shadow_map_px) {
             let value = settings.shadow_map_px.to_string();
             return Err(Problem::Setting { name: "shadow_map_px", value, range: "between 16 and 8192" });
