@@ -1,7 +1,7 @@
 //! Lenses and poses from printed grids: photographs of a chessboard against the lens that OpenCV's sample found, markers against
 //! listed corners, captures against their truth; time beside OpenCV's `calibrateCamera` on the same corners.
 
-use super::spread;
+use super::{percentile, spread};
 use crate::calibrate::bundle::{self, FreeLens};
 use crate::calibrate::{Evidence, board, grey_of, lens, solve};
 use crate::camera::{Camera, Intrinsics};
@@ -228,7 +228,7 @@ impl Hidden {
             return;
         }
         self.off_px.sort_by(f64::total_cmp);
-        let share = |of: f64| self.off_px[(of * (self.off_px.len() - 1) as f64).round() as usize];
+        let share = |of| percentile(&self.off_px, of);
         printer.data(&format!(
             "a disc of {} squares' radius over the grid: {} of {} found, another one in {}; {} of {} corners that are a square away from it; off by {:.3} px \
              in the middle, {:.2} px at 95 %, {:.2} px at most",

@@ -1,5 +1,6 @@
 //! What 8 bits cost: `radiance-transfer-ldr` against the same passes in radiance, in code values of the picture.
 
+use super::percentile;
 use super::statics::Static;
 use crate::artefact::json;
 use crate::composite::{composite, picture, write_png};
@@ -240,11 +241,6 @@ fn steps(means: &Image<Option<f64>>) -> Vec<f64> {
     }
     steps.sort_by(f64::total_cmp);
     steps
-}
-
-fn percentile(ascending: &[f64], share: f64) -> f64 {
-    let at = (share * ascending.len().saturating_sub(1) as f64).round() as usize;
-    ascending.get(at).copied().unwrap_or(0.0)
 }
 
 /// The region's surroundings.

@@ -213,3 +213,9 @@ fn spread(ms: &mut [f64]) -> [f64; 3] {
     ms.sort_by(f64::total_cmp);
     [ms[ms.len() / 2], ms[0], ms[ms.len() - 1]]
 }
+
+/// The value below which a share of ascending ones lies; 0 of none.
+fn percentile(ascending: &[f64], share: f64) -> f64 {
+    let at = (share * ascending.len().saturating_sub(1) as f64).round() as usize;
+    ascending.get(at).copied().unwrap_or(0.0)
+}
