@@ -27,8 +27,9 @@ pub(super) fn strongest(power: &[f64], share: f64) -> Vec<usize> {
 
 /// The source set, strongest first: indices of lights, of which `received` says what reaches the receivers, and what share of
 /// the light of each of their places it makes up. The share counts: a shadow under a table is one of light that is faint
-/// everywhere else. Where order is by power, a patch counts with what it sends anywhere and distant light with what it would send to the receivers' area with
-/// nothing between, both in plate units · m²; lights that reach no receiver are left out all the same.
+/// everywhere else. Where order is by power, a patch counts with what it sends anywhere and distant light with what it would
+/// send to the receivers' area with nothing between, both in plate units · m²; lights that reach no receiver are left out all
+/// the same.
 pub(super) fn source_set(
     lights: &[Light],
     [received, shares]: [&[f64]; 2],

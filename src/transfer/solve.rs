@@ -30,8 +30,9 @@ const PROFILE: usize = 64;
 ///
 /// The source set is made of the strongest lights that together have the share `source_share`, by their part in the light of
 /// the receivers' places (share of the luminance of irradiance, integrated over the receivers' area, estimated at up to 256
-/// receiver vertices: what lies under a table counts like what a lamp shines on) or by their power (gibson §4), as the settings say. All others count in the total irradiance and are reported. `advance`
-/// is called once for each point that is gathered.
+/// receiver vertices: what lies under a table counts like what a lamp shines on) or by their power (gibson §4), as the
+/// settings say. All others count in the total irradiance and are reported. `advance` is called once for each point that is
+/// gathered.
 pub fn solve(
     light: &LightModel,
     receivers: &Receivers,
